@@ -16,19 +16,25 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
+from prbench.alignment.align import Alignment, align
 from prbench.curation.job import RecordingJob
 from prbench.engine import Engine
 from prbench.errors import UsageError
-from prbench.files.bounded import foreign_input
-from prbench.files.storage import require_replaceable, sole_writer, text_digest
-from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Y_UP_FROM_Z_UP, forward_kinematics, rotation_matrices
+from prbench.files.bounded import foreign_input, require
+from prbench.files.storage import file_digest, require_replaceable, sole_writer, text_digest
+from prbench.geometry import skeleton
+from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Joint, rotation_matrices, y_up
+from prbench.geometry.timelines import covered
 from prbench.protocol.manifests import Manifest, digest_of, load_manifest
-from prbench.readers import SYNTHETIC_PREFIX
+from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles
+from prbench.readers.aria_mps.files import read_near
+from prbench.readers.aria_mps.format import LEAST_QUALITY
+from prbench.recording import NO_POSES, PoseStream
 from prbench.sequences import parts
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
-from prbench_adapters.corpora.nymeria.files import SUIT
-from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE, Suit
+from prbench_adapters.corpora.nymeria.files import SUIT, TRAJECTORY
+from prbench_adapters.corpora.nymeria.format import HEAD_FOLDER, SUIT_FILE, SUIT_RATE, WRIST_FOLDERS, Suit
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit, segment_rotation, stretches
 from prbench_adapters.corpora.nymeria.synthetic import calibration_rotations
@@ -37,7 +43,7 @@ from prbench_benchmarks.three_points import table
 from prbench_benchmarks.three_points.batch import DEVICES
 from prbench_benchmarks.three_points.protocol import load_three_points_protocol
 
-_Y_UP = Y_UP_FROM_Z_UP[:3, :3]
+_Y_UP = skeleton.Y_UP_FROM_Z_UP[:3, :3]
 _OFFSETS_FROM = 2000  # frames at most, evenly over a recording, behind the median of the offsets
 _PARENTS = list(PARENTS[1:])
 DeviceKind = Literal["real", "synthetic"]
@@ -93,6 +99,68 @@ def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float)
         )
 
 
+def trajectories(found: RecordingFiles) -> list[Path]:
+    """Return the files of poses of glasses and wristbands, as far as they are there; none without glasses."""
+    head = found.path(TRAJECTORY)
+    names = (HEAD_FOLDER, *WRIST_FOLDERS)
+    parts_of = () if head is None else head.parts
+    paths = [Path(*(name if part == HEAD_FOLDER else part for part in parts_of)) for name in names]
+    return [path for path in paths if path.is_file()]
+
+
+def measured(
+    found: RecordingFiles,
+    times: Float[np.ndarray, " n"],
+    joints: Float[np.ndarray, "n 22 3"],
+    turned: Float[np.ndarray, "n 22 3 3"],
+    messages: list[str],
+) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Move devices to the joints that carry them, and the body into their world, where its head is the glasses'.
+
+    Args:
+        found: Files of the recording.
+        times: Seconds on the suit's clock.
+        joints: Positions in the suit's world, metres, Y up.
+        turned: Joint frame to the suit's world.
+        messages: Takes up why a wristband is not used.
+
+    Returns:
+        Joints and rotations in the devices' world; positions, rotations and validity of the three devices.
+
+    Raises:
+        InputFileError: if the glasses cannot be aligned with the suit.
+    """
+    position = np.zeros((len(times), len(DEVICES), 3))
+    rotation = np.tile(np.eye(3), (len(times), len(DEVICES), 1, 1))
+    valid = np.zeros((len(times), len(DEVICES)), dtype=bool)
+    paths = {path.parents[2].name: path for path in trajectories(found)}
+    for place, (joint, name) in enumerate(zip(DEVICES, (HEAD_FOLDER, *WRIST_FOLDERS), strict=True)):
+        carrier = PoseStream(times, joints[:, joint], _quaternions(turned[:, [joint]])[:, 0], np.ones(len(times), bool))
+        alignment = Alignment(refused="no trajectory")
+        device = NO_POSES
+        if name in paths:
+            poses = read_near(paths[name], np.zeros(0, dtype=np.int64), SUIT_RATE)
+            turn = Rotation.from_matrix(_Y_UP) * Rotation.from_quat(poses.rotation, scalar_first=True)
+            tracked = (turn.as_quat(scalar_first=True), poses.quality >= LEAST_QUALITY)
+            device = PoseStream(poses.time_us / 1e6, y_up(poses.position), *tracked)
+            alignment = align(device, carrier)
+        if joint is Joint.HEAD:
+            expected = "glasses that can be aligned with the suit"
+            remedy = "Without them, devices are synthetic alone: --devices synthetic."
+            require(found.recording_id, (not alignment.refused, name, expected, alignment.refused, remedy))
+        messages += [f"{name}: {said}" for said in (alignment.refused, *alignment.findings) if said]
+        if alignment.clock is not None and not alignment.refused:
+            at = alignment.clock.to_device(times)
+            gap = load_three_points_protocol().tracks.largest_gap
+            valid[:, place] = covered(device.times, device.valid, at, max_gap=gap)
+            position[:, place], quaternions = alignment.segment_in_world(device).pose_at(at)
+            rotation[:, place] = rotation_matrices(quaternions)
+    # The body goes where its head is the glasses'.
+    moved = rotation[:, 0] @ turned[:, Joint.HEAD].transpose(0, 2, 1)
+    joints = np.einsum("nij,nkj->nki", moved, joints - joints[:, [Joint.HEAD]]) + position[:, [0]]
+    return joints, moved[:, None] @ turned, (position, rotation, valid)
+
+
 @dataclass(frozen=True)
 class TracksJob(RecordingJob):
     """Reads and cuts one recording."""
@@ -103,7 +171,9 @@ class TracksJob(RecordingJob):
     def settings(self, source: NymeriaSource) -> str:
         """See :class:`RecordingJob`."""
         digests = (load_three_points_protocol().digest, digest_of(load_manifest("nymeria")))
-        return text_digest(*digests, self.devices, str(self.fps), *map(str, vars(source.identity).values()))
+        # Also those that the corpus does not read.
+        read = map(file_digest, trajectories(source.found) if self.devices == "real" else ())
+        return text_digest(*digests, self.devices, str(self.fps), *map(str, vars(source.identity).values()), *read)
 
     def nothing(self, source: Any, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
         """See :class:`RecordingJob`."""
@@ -118,30 +188,35 @@ class TracksJob(RecordingJob):
         clean = clean_suit(suit, manifest, path=path)
         identity = source.identity
         stride = round(SUIT_RATE / self.fps)
-        frames = np.concatenate([np.arange(piece.first, piece.stop, stride) for piece in clean.pieces])
-        times = np.concatenate(
-            [piece.start + np.arange(0, piece.stop - piece.first, stride) / SUIT_RATE for piece in clean.pieces]
-        )
+        # Pieces of steady time, each with its own places in the file.
+        places = [np.arange(piece.first, piece.stop, stride) for piece in clean.pieces]
+        frames = np.concatenate(places)
+        since = zip(clean.pieces, places, strict=True)
+        times = np.concatenate([piece.start + (place - piece.first) / SUIT_RATE for piece, place in since])
         joints = np.concatenate([piece.joints[::stride] for piece in clean.pieces]).astype(np.float64)
         from_joint = segment_from_joint(suit, synthetic=identity.dataset.startswith(SYNTHETIC_PREFIX))
         turned = joint_rotations(suit, frames, from_joint, manifest)
         del suit
         some = slice(None, None, max(1, len(joints) // _OFFSETS_FROM))
         offsets = offsets_of(joints[some], turned[some])
-        devices = list(DEVICES)
-        valid = np.ones((len(times), len(devices)), dtype=bool)
-        given = (joints[:, devices], turned[:, devices], valid)
-        joined = np.diff(frames) == stride
+        messages = list(clean.messages)
+        if self.devices == "real":
+            joints, turned, given = measured(source.found, times, joints, turned, messages)
+        else:
+            devices = list(DEVICES)
+            given = (joints[:, devices], turned[:, devices], np.ones((len(times), len(devices)), dtype=bool))
+        known = given[2][:, 0]
+        joined = np.isclose(np.diff(times), 1.0 / self.fps, atol=1e-4) & known[1:] & known[:-1]
         local = turned.copy()
         local[:, 1:] = turned[:, _PARENTS].transpose(0, 1, 3, 2) @ turned[:, 1:]
         rules = load_three_points_protocol().tracks
         tracks = []
         for first, stop in cut(joined, rules.shortest * self.fps, rules.longest * self.fps):
             part = slice(first, stop)
-            kinematic, _ = forward_kinematics(offsets, joints[part, 0], local[part], PARENTS)
+            kinematic, _ = skeleton.forward_kinematics(offsets, joints[part, 0], local[part], PARENTS)
             apart = np.linalg.norm(kinematic - joints[part], axis=-1)
             n = stop - first
-            position, rotation, known = (each[part] for each in given)
+            position, rotation, valid = (each[part] for each in given)
             tracks.append(
                 table.Track(
                     sequence_id=f"{identity.dataset}/{identity.recording_id}/{self.devices}/{frames[first]:08d}",
@@ -154,8 +229,8 @@ class TracksJob(RecordingJob):
                     n_frames=n,
                     device_position=position.reshape(n, -1),
                     device_rotation=_quaternions(rotation).reshape(n, -1),
-                    device_valid=known,
-                    rotation_valid=known,
+                    device_valid=valid,
+                    rotation_valid=valid,
                     joints=joints[part].reshape(n, -1),
                     rotations=_quaternions(local[part]).reshape(n, -1),
                     offsets=offsets.ravel(),
@@ -164,8 +239,7 @@ class TracksJob(RecordingJob):
             )
         counts = {"tracks": len(tracks), "frames": sum(track.n_frames for track in tracks)}
         whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
-        messages = "; ".join(clean.messages)
-        record = RecordingRow(*whose, len(times) / self.fps, counts, "read", messages)
+        record = RecordingRow(*whose, len(times) / self.fps, counts, "read", "; ".join(messages))
         return record, {"tracks": row_batch(tracks, table.TRACKS)}
 
 
