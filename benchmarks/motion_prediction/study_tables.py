@@ -6,11 +6,9 @@ over recordings, and rows are compared on the same windows (docs/specification/m
 
 from __future__ import annotations
 
-import csv
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from prbench.harness.intervals import ClusteredValues, Comparison, Estimate, clu
 from prbench.harness.methods.loading import load_adapter, require_weights
 from prbench.harness.run_folder import read_scores
 from prbench.protocol.manifests import read_toml
+from prbench.protocol.published import printed_rows
 from prbench.sequences.table import by_share
 from prbench.shown import quoted
 from prbench.tables import DASH, Block, Cell, Column, Row, Table
@@ -94,7 +93,6 @@ def load_tables() -> PredictionTables:
     return read_toml(_PACKAGE, "tables.toml", PredictionTables)
 
 
-@cache
 def published_scores(name: str) -> tuple[dict[str, str], ...]:
     """Read printed numbers in printed order.
 
@@ -104,8 +102,7 @@ def published_scores(name: str) -> tuple[dict[str, str], ...]:
     Returns:
         ``dataset``, ``method``, ``variant``, ``metric``, ``value`` as printed in metres, and ``note`` of each.
     """
-    text = (resources.files(f"{_PACKAGE}.published") / f"{name}.csv").read_text(encoding="utf-8")
-    return tuple(csv.DictReader(text.splitlines()))
+    return printed_rows(f"{_PACKAGE}.published", name)
 
 
 def prediction_tables(

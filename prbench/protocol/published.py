@@ -33,6 +33,13 @@ class Spread:
     sd: float
 
 
+@cache
+def printed_rows(package: str, name: str) -> tuple[dict[str, str], ...]:
+    """Read a CSV of printed numbers of a benchmark's package, in printed order; one mapping a row, texts as printed."""
+    text = (resources.files(package) / f"{name}.csv").read_text(encoding="utf-8")
+    return tuple(csv.DictReader(text.splitlines()))
+
+
 # The four quantities of Table 1 and their units.
 QUANTITIES = {"duration": "s", "prime_gap": "s", "body_movement": "m", "hand_movement": "m"}
 

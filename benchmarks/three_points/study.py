@@ -1,0 +1,62 @@
+"""Tables 3 and 4 of *Nymeria* in shape: runs beside the printed numbers (docs/specification/three-points.md#study)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from prbench.board.collect import collect_runs
+from prbench.errors import RunError
+from prbench.protocol.published import printed_rows
+from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
+from prbench_benchmarks.three_points.metrics import METRICS
+
+_UNITS = {info.id: info.unit for info in METRICS if info.main or info.id == "jitter"}
+_WORDS = ("method", "condition", "dataset", "devices")
+_NOTES = (
+    "Means over tracks, never over frames; 95 % intervals over recordings in brackets. Less is better, but for jitter.",
+    "What the study leaves open: docs/specification/three-points.md. Its splits are unknown: approach, do not compare.",
+)
+
+
+def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
+    """Lay out runs of the benchmark, one row a run and table.
+
+    Args:
+        paths: Run folders, or folders that hold some.
+        with_published: Show the printed rows of both tables in blocks of their own.
+
+    Raises:
+        RunError: if a path holds no run, or one of another benchmark.
+    """
+    collected = collect_runs(paths, any_benchmark=True)
+    rows = []
+    for each in collected.rows:
+        if each.record.benchmark != "three-points":
+            raise RunError(f"{each.run}: expected a run of three-points, found one of {each.record.benchmark}.")
+        devices = "synthetic" if each.table.dataset.endswith("-suit") else "real"
+        words = dict(zip(_WORDS, (each.method, each.record.condition, each.summary.title, devices), strict=True))
+        about = {"method": each.method, "condition": each.record.condition, "dataset": each.table.dataset}
+        cells = [
+            metric_cell(one.metric, one.unit, one.mean, one.low, one.high, recordings=one.recordings, **about)
+            for one in each.summary.metrics
+            if one.metric in _UNITS
+        ]
+        rows.append(Row(text=words, cells=tuple(cells)))
+    blocks = [Block(title="measured", rows=tuple(rows))]
+    printed: dict[tuple[str, ...], list[Cell]] = {}
+    for number in printed_rows("prbench_benchmarks.three_points.published", "tables") if with_published else ():
+        about = {name: number[name] for name in ("method", "condition", "dataset", "metric", "note")}
+        origin = f"published: Nymeria, Table {number['table']}"
+        cell = Cell(value=float(number["value"]), unit=_UNITS.get(number["metric"], ""), origin=origin, **about)
+        printed.setdefault((number["table"], *(number[name] for name in _WORDS)), []).append(cell)
+    for table in ("3", "4") if with_published else ():
+        own = [(key[1:], cells) for key, cells in printed.items() if key[0] == table]
+        lines = [Row(text=dict(zip(_WORDS, key, strict=True)), cells=tuple(cells)) for key, cells in own]
+        blocks.append(Block(title=f"printed in Table {table} of Nymeria", rows=tuple(lines)))
+    titles = {info.id: info.title for info in METRICS}
+    columns = (Column(key=name, title=name.capitalize(), text=True) for name in _WORDS)
+    numbers = (Column(key=name, title=titles[name], unit=unit) for name, unit in _UNITS.items())
+    title = "Bodies from head and wrists (Nymeria, Tables 3 and 4)"
+    notes = (*_NOTES, *collected.left_out)
+    return Table(title=title, columns=(*columns, *numbers), blocks=tuple(blocks), notes=notes)
