@@ -12,7 +12,6 @@ import msgspec
 from prbench.cli import builds
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.terminal import print_table
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
 
@@ -119,22 +118,14 @@ def build_windows(
 
 def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
     """Answer a command that has written a table of windows."""
-    for each in info.quarantine:
-        note(f"{each.recording_id}: {each.status}: {each.message}")
     if info.estimated_bodies:
         note("bodies were estimated from whole tracks of the head: an observed frame may carry later head motion")
-
-    def show() -> None:
-        rows = [(name, str(getattr(info, name))) for name in ("participants", "recordings", "runs", "frames")]
-        for outcome, number in info.outcomes.items():
-            rows.append(("windows" if outcome == "window" else f"windows: {outcome}", str(number)))
-        print_table(
-            f"{info.title}: {info.joint_set}, {info.fps:g} frames a second", ("of", "number"), rows, numbers=(1,)
-        )
-        print(f"windows: {folder}")
-
-    failed = any(each.status == "failed" for each in info.quarantine)
-    return Answer(WindowsReport(folder=folder, built=info), show, builds.NOT_EVERYTHING if failed else 0)
+    rows = [(name, str(getattr(info, name))) for name in ("participants", "recordings", "runs", "frames")]
+    for outcome, number in info.outcomes.items():
+        rows.append(("windows" if outcome == "window" else f"windows: {outcome}", str(number)))
+    title = f"{info.title}: {info.joint_set}, {info.fps:g} frames a second"
+    report = WindowsReport(folder=folder, built=info)
+    return builds.answer_of_table(report, info, title, rows, f"windows: {folder}")
 
 
 def merged_windows(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> Answer:

@@ -10,8 +10,7 @@ import msgspec
 
 from prbench.cli import builds
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.terminal import print_table
+from prbench.cli.commands import Answer, command, progress
 from prbench.entry_points import CORPORA, load_built_in
 
 if TYPE_CHECKING:
@@ -51,16 +50,7 @@ def build_tracks(
     where = opt.opened(engine, reads=(root,), writes=(out,))
     given |= {"limit": max_recordings, "stop_on_error": on_error == "fail"}
     with progress(f"cutting {dataset}") as tell:
-        build = load_built_in(CORPORA, "tracks")
-        info = build(root, out, engine=where, progress=tell, **given)
-    for each in info.quarantine:
-        note(f"{each.recording_id}: {each.status}: {each.message}")
-
-    def show() -> None:
-        rows = [(name, str(number)) for name, number in msgspec.to_builtins(info.counts).items()]
-        title = f"{info.title}: {info.devices} devices, {info.fps:g} frames a second"
-        print_table(title, ("of", "number"), rows, numbers=(1,))
-        print(f"tracks: {out}")
-
-    failed = any(each.status == "failed" for each in info.quarantine)
-    return Answer(info, show, builds.NOT_EVERYTHING if failed else 0)
+        info = load_built_in(CORPORA, "tracks")(root, out, engine=where, progress=tell, **given)
+    rows = [(name, str(number)) for name, number in msgspec.to_builtins(info.counts).items()]
+    title = f"{info.title}: {info.devices} devices, {info.fps:g} frames a second"
+    return builds.answer_of_table(info, info, title, rows, f"tracks: {out}")

@@ -11,6 +11,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.metrics.registry import compared_detail, detail, study_error
 from prbench_benchmarks.three_points.protocol import load_three_points_protocol
 
+_JOINTS = load_three_points_protocol().joints
 _error = partial(study_error, in_study=False)
 _part = partial(compared_detail, higher_is_better=False)
 METRICS = (
@@ -52,7 +53,6 @@ def tracking_errors(
         return np.where(within[:, order:], length, 0.0).sum(axis=1) / (n_frames - order)
 
     apart = 100.0 * (predicted - recorded)
-    groups = load_three_points_protocol().joints | {"pelvis": ("PELVIS",)}
-    parts = {f"mpjpe_{name}": mean(apart[:, :, [Joint[each] for each in joints]]) for name, joints in groups.items()}
-    jitter = {"jitter": mean(predicted, 3), "jitter_recorded": mean(recorded, 3)}
-    return {"mpjpe": mean(apart), **parts, "mpjve": mean(apart, 1), **jitter}
+    parts = {f"mpjpe_{name}": mean(apart[:, :, [Joint[each] for each in joints]]) for name, joints in _JOINTS.items()}
+    parts |= {"jitter": mean(predicted, 3), "jitter_recorded": mean(recorded, 3)}
+    return {"mpjpe": mean(apart), "mpjve": mean(apart, 1), **parts}

@@ -11,7 +11,7 @@ from prbench.protocol.published import printed_rows
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 from prbench_benchmarks.three_points.metrics import METRICS
 
-_UNITS = {info.id: info.unit for info in METRICS if info.main or info.id == "jitter"}
+_SHOWN = {info.id: info for info in METRICS if info.main or info.id == "jitter"}
 _WORDS = ("method", "condition", "dataset", "devices")
 _NOTES = (
     "Means over tracks, never over frames; 95 % intervals over recordings in brackets. Less is better, but for jitter.",
@@ -35,28 +35,27 @@ def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
         if each.record.benchmark != "three-points":
             raise RunError(f"{each.run}: expected a run of three-points, found one of {each.record.benchmark}.")
         devices = "synthetic" if each.table.dataset.endswith("-suit") else "real"
-        words = dict(zip(_WORDS, (each.method, each.record.condition, each.summary.title, devices), strict=True))
-        about = {"method": each.method, "condition": each.record.condition, "dataset": each.table.dataset}
+        words = dict(zip(_WORDS, (each.method, each.record.condition, each.table.dataset, devices), strict=True))
+        about = {name: words[name] for name in _WORDS[:3]} | {"variant": devices}
         cells = [
             metric_cell(one.metric, one.unit, one.mean, one.low, one.high, recordings=one.recordings, **about)
             for one in each.summary.metrics
-            if one.metric in _UNITS
+            if one.metric in _SHOWN
         ]
         rows.append(Row(text=words, cells=tuple(cells)))
     blocks = [Block(title="measured", rows=tuple(rows))]
-    printed: dict[tuple[str, ...], list[Cell]] = {}
-    for number in printed_rows("prbench_benchmarks.three_points.published", "tables") if with_published else ():
-        about = {name: number[name] for name in ("method", "condition", "dataset", "metric", "note")}
-        origin = f"published: Nymeria, Table {number['table']}"
-        cell = Cell(value=float(number["value"]), unit=_UNITS.get(number["metric"], ""), origin=origin, **about)
-        printed.setdefault((number["table"], *(number[name] for name in _WORDS)), []).append(cell)
     for table in ("3", "4") if with_published else ():
-        own = [(key[1:], cells) for key, cells in printed.items() if key[0] == table]
-        lines = [Row(text=dict(zip(_WORDS, key, strict=True)), cells=tuple(cells)) for key, cells in own]
+        printed: dict[tuple[str, ...], list[Cell]] = {}
+        for number in printed_rows("prbench_benchmarks.three_points.published", "tables"):
+            if number["table"] == table and number["metric"] in _SHOWN:  # not FID
+                about = {name: number[name] for name in ("method", "condition", "dataset", "metric", "note")}
+                about |= {"variant": number["devices"], "unit": _SHOWN[number["metric"]].unit}
+                about["origin"] = f"published: Nymeria, Table {table}"
+                cell = Cell(value=float(number["value"]), **about)
+                printed.setdefault(tuple(number[name] for name in _WORDS), []).append(cell)
+        lines = [Row(text=dict(zip(_WORDS, key)), cells=tuple(cells)) for key, cells in printed.items()]
         blocks.append(Block(title=f"printed in Table {table} of Nymeria", rows=tuple(lines)))
-    titles = {info.id: info.title for info in METRICS}
     columns = (Column(key=name, title=name.capitalize(), text=True) for name in _WORDS)
-    numbers = (Column(key=name, title=titles[name], unit=unit) for name, unit in _UNITS.items())
+    numbers = (Column(key=name, title=info.title, unit=info.unit) for name, info in _SHOWN.items())
     title = "Bodies from head and wrists (Nymeria, Tables 3 and 4)"
-    notes = (*_NOTES, *collected.left_out)
-    return Table(title=title, columns=(*columns, *numbers), blocks=tuple(blocks), notes=notes)
+    return Table(title=title, columns=(*columns, *numbers), blocks=tuple(blocks), notes=(*_NOTES, *collected.left_out))

@@ -55,6 +55,27 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
     proposed: list[dict[str, Any]] = []
 
 
+def answer_of_table(report: Any, info: Any, title: str, rows: Sequence[tuple[str, str]], what: str) -> Answer:
+    """Answer a command that has written a table, whose description is ``info``, with some numbers of it.
+
+    Args:
+        report: What ``--json`` prints.
+        info: The table's description.
+        title: Title of the numbers.
+        rows: Names and numbers.
+        what: Last line, which says where the table is.
+    """
+    for each in info.quarantine:
+        note(f"{each.recording_id}: {each.status}: {each.message}")
+
+    def show() -> None:
+        print_table(title, ("of", "number"), rows, numbers=(1,))
+        print(what)
+
+    failed = any(each.status == "failed" for each in info.quarantine)
+    return Answer(report, show, NOT_EVERYTHING if failed else 0)
+
+
 def built(*reports: BuildReport) -> dict[str, Any]:
     """Return what :attr:`BuildsReport.built` holds of some tables."""
     return {str(report.folder): msgspec.to_builtins(report.info) for report in reports}

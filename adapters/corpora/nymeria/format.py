@@ -15,7 +15,7 @@ SMPL_FILE = "xdata_smpl_neutral.npz"  # of NymeriaPlus
 METADATA_FILE = "metadata.json"  # Written of synthetic people; nothing is read from it.
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 HEAD_FOLDER = "recording_head"
-WRIST_FOLDERS = ("recording_lwrist", "recording_rwrist")
+DEVICE_FOLDERS = (HEAD_FOLDER, "recording_lwrist", "recording_rwrist")
 # The user's own, of {sequence: TIME_CODE minus device time in seconds}; made once with the vendor's reader.
 OFFSET_FILE = "time_offset.json"
 

@@ -217,6 +217,6 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     write_json(folder / nymeria.METADATA_FILE, named | invented)
     if trajectory:
         devices = (readings.glasses, *readings.wristbands)
-        for name, poses in zip((nymeria.HEAD_FOLDER, *nymeria.WRIST_FOLDERS), devices, strict=True):
+        for name, poses in zip(nymeria.DEVICE_FOLDERS, devices, strict=True):
             path = folder / name / "mps" / "slam" / nymeria.TRAJECTORY_FILE
             write_csv(path, mps.trajectory_columns(poses, _NO_GRAPH, _GRAVITY, None))

@@ -34,7 +34,7 @@ from prbench.sequences import parts
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
 from prbench_adapters.corpora.nymeria.files import SUIT, TRAJECTORY
-from prbench_adapters.corpora.nymeria.format import HEAD_FOLDER, SUIT_FILE, SUIT_RATE, WRIST_FOLDERS, Suit
+from prbench_adapters.corpora.nymeria.format import DEVICE_FOLDERS, HEAD_FOLDER, SUIT_FILE, SUIT_RATE, Suit
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit, segment_rotation, stretches
 from prbench_adapters.corpora.nymeria.synthetic import calibration_rotations
@@ -47,7 +47,6 @@ _Y_UP = skeleton.Y_UP_FROM_Z_UP[:3, :3]
 _OFFSETS_FROM = 2000  # frames at most, evenly over a recording, behind the median of the offsets
 _PARENTS = list(PARENTS[1:])
 DeviceKind = Literal["real", "synthetic"]
-Frames = Int[np.ndarray, " n"]
 
 
 def segment_from_joint(suit: Suit, *, synthetic: bool) -> Float[np.ndarray, "23 3 3"]:
@@ -68,7 +67,7 @@ def segment_from_joint(suit: Suit, *, synthetic: bool) -> Float[np.ndarray, "23 
 
 
 def joint_rotations(
-    suit: Suit, frames: Frames, from_joint: Float[np.ndarray, "23 3 3"], manifest: Manifest
+    suit: Suit, frames: Int[np.ndarray, " n"], from_joint: Float[np.ndarray, "23 3 3"], manifest: Manifest
 ) -> Float[np.ndarray, "n 22 3 3"]:
     """Return joint frame to world of some frames of a suit, Y up.
 
@@ -99,13 +98,12 @@ def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float)
         )
 
 
-def trajectories(found: RecordingFiles) -> list[Path]:
-    """Return the files of poses of glasses and wristbands, as far as they are there; none without glasses."""
+def trajectories(found: RecordingFiles) -> dict[str, Path]:
+    """Return the poses of glasses and wristbands by their folder, as far as they are there; none without glasses."""
     head = found.path(TRAJECTORY)
-    names = (HEAD_FOLDER, *WRIST_FOLDERS)
     parts_of = () if head is None else head.parts
-    paths = [Path(*(name if part == HEAD_FOLDER else part for part in parts_of)) for name in names]
-    return [path for path in paths if path.is_file()]
+    paths = {name: Path(*(name if part == HEAD_FOLDER else part for part in parts_of)) for name in DEVICE_FOLDERS}
+    return {name: path for name, path in paths.items() if path.is_file()}
 
 
 def measured(
@@ -133,8 +131,8 @@ def measured(
     position = np.zeros((len(times), len(DEVICES), 3))
     rotation = np.tile(np.eye(3), (len(times), len(DEVICES), 1, 1))
     valid = np.zeros((len(times), len(DEVICES)), dtype=bool)
-    paths = {path.parents[2].name: path for path in trajectories(found)}
-    for place, (joint, name) in enumerate(zip(DEVICES, (HEAD_FOLDER, *WRIST_FOLDERS), strict=True)):
+    paths = trajectories(found)
+    for place, (joint, name) in enumerate(zip(DEVICES, DEVICE_FOLDERS, strict=True)):
         carrier = PoseStream(times, joints[:, joint], _quaternions(turned[:, [joint]])[:, 0], np.ones(len(times), bool))
         alignment = Alignment(refused="no trajectory")
         device = NO_POSES
@@ -172,7 +170,7 @@ class TracksJob(RecordingJob):
         """See :class:`RecordingJob`."""
         digests = (load_three_points_protocol().digest, digest_of(load_manifest("nymeria")))
         # Also those that the corpus does not read.
-        read = map(file_digest, trajectories(source.found) if self.devices == "real" else ())
+        read = map(file_digest, trajectories(source.found).values() if self.devices == "real" else ())
         return text_digest(*digests, self.devices, str(self.fps), *map(str, vars(source.identity).values()), *read)
 
     def nothing(self, source: Any, record: RecordingRow) -> dict[str, pa.RecordBatch]:  # noqa: ARG002
