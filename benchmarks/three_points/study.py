@@ -12,6 +12,7 @@ from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 from prbench_benchmarks.three_points.metrics import METRICS
 
 _SHOWN = {info.id: info for info in METRICS if info.main or info.id == "jitter"}
+_TITLE = "Bodies from head and wrists (Nymeria, Tables 3 and 4)"
 _WORDS = ("method", "condition", "dataset", "devices")
 _NOTES = (
     "Means over tracks, never over frames; 95 % intervals over recordings in brackets. Less is better, but for jitter.",
@@ -34,15 +35,14 @@ def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
     for each in collected.rows:
         if each.record.benchmark != "three-points":
             raise RunError(f"{each.run}: expected a run of three-points, found one of {each.record.benchmark}.")
-        devices = "synthetic" if each.table.dataset.endswith("-suit") else "real"
-        words = dict(zip(_WORDS, (each.method, each.record.condition, each.table.dataset, devices), strict=True))
-        about = {name: words[name] for name in _WORDS[:3]} | {"variant": devices}
+        about = {"method": each.method, "condition": each.record.condition, "dataset": each.table.dataset}
+        about["variant"] = "synthetic" if each.table.dataset.endswith("-suit") else "real"
         cells = [
             metric_cell(one.metric, one.unit, one.mean, one.low, one.high, recordings=one.recordings, **about)
             for one in each.summary.metrics
             if one.metric in _SHOWN
         ]
-        rows.append(Row(text=words, cells=tuple(cells)))
+        rows.append(Row(text=dict(zip(_WORDS, about.values())), cells=tuple(cells)))
     blocks = [Block(title="measured", rows=tuple(rows))]
     for table in ("3", "4") if with_published else ():
         printed: dict[tuple[str, ...], list[Cell]] = {}
@@ -57,5 +57,4 @@ def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
         blocks.append(Block(title=f"printed in Table {table} of Nymeria", rows=tuple(lines)))
     columns = (Column(key=name, title=name.capitalize(), text=True) for name in _WORDS)
     numbers = (Column(key=name, title=info.title, unit=info.unit) for name, info in _SHOWN.items())
-    title = "Bodies from head and wrists (Nymeria, Tables 3 and 4)"
-    return Table(title=title, columns=(*columns, *numbers), blocks=tuple(blocks), notes=(*_NOTES, *collected.left_out))
+    return Table(title=_TITLE, columns=(*columns, *numbers), blocks=tuple(blocks), notes=(*_NOTES, *collected.left_out))
