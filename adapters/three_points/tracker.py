@@ -88,10 +88,7 @@ class LearnedTracker:
             masks = [interpolate(times, mask.astype(np.float64), query) > 1.0 - 1e-6 for mask in devices[2:]]
             devices = [interpolate(times, position, query), np.stack(turned, axis=1), *masks]
         known = np.flatnonzero(devices[3][:, 0])
-        joints = np.full((len(times), len(Joint), 3), np.nan)
-        if not known.size:
-            return joints
-        found = np.empty((len(query), len(Joint), 3))
+        found = np.full((len(query), len(Joint), 3), np.nan)
         bones = torch.from_numpy(offsets.astype(np.float32))
         for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
             for first in range(0, len(run), _PIECE):
@@ -101,8 +98,12 @@ class LearnedTracker:
                 local = self.network.rotations(rows, seed).cpu()
                 bodies = joints_under_head(local, bones, torch.from_numpy(devices[0][piece, 0].astype(np.float64)))
                 found[run[first : first + _PIECE]] = bodies[-len(run[first : first + _PIECE]) :].numpy()
+        if len(query) == len(times):
+            return found
+        joints = np.full((len(times), len(Joint), 3), np.nan)
         given = valid[:, 0] & rotation_valid[:, 0]
-        joints[given] = interpolate(query[known], found[known], times[given])
+        if known.size:
+            joints[given] = interpolate(query[known], found[known], times[given])
         return joints
 
 
