@@ -150,36 +150,30 @@ class _Block(nn.Module):
 
 
 class WindowDenoiser(nn.Module):
-    """Estimates the clean rotations of a window: the layers of the small denoiser, told the 54 values of each frame.
-
-    Two neighbouring frames share a token, which halves the time that it takes.
-    """
+    """Estimates the clean rotations of a window: the layers of the small denoiser, told the 54 values of each frame."""
 
     def __init__(self, shape: DiffusionConfiguration) -> None:
         super().__init__()
         width = shape.width
         self.schedule = CosineSchedule(shape.diffusion_steps)
-        self.frame_embedding = nn.Linear(2 * (22 * 6 + 54), width)
+        self.frame_embedding = nn.Linear(22 * 6 + 54, width)
         self.step_embedding = nn.Embedding(shape.diffusion_steps, width)
         layers = range(shape.layers)
         self.layers = nn.ModuleList(FrameLayer(width, shape.heads, 2 * width, dropout=0.0) for _ in layers)
         self.head_norm = nn.LayerNorm(width)
-        self.head = from_zero(nn.Linear(width, 2 * 22 * 6))  # the first estimate is the T-pose
+        self.head = from_zero(nn.Linear(width, 22 * 6))  # the first estimate is the T-pose
         self.register_buffer("sinusoid", sinusoid_table(shape.window, width), persistent=False)
         self.sinusoid: Tensor
 
     def forward(self, noisy: Rotations, features: Features, step: Steps) -> Rotations:
         """Estimate the clean rotations."""
-        frames = noisy.shape[1]
-        values = functional.pad(torch.cat((noisy.flatten(2), features), dim=-1), (0, 0, 0, -frames % 2))
-        stream = self.frame_embedding(values.unflatten(1, (-1, 2)).flatten(2))
-        stream = stream + self.sinusoid[: stream.shape[1]]
+        stream = self.frame_embedding(torch.cat((noisy.flatten(2), features), dim=-1))
+        stream = stream + self.sinusoid[: noisy.shape[1]]
         told = functional.silu(self.step_embedding(step))
-        visible = torch.ones(stream.shape[:2], dtype=torch.bool, device=noisy.device)
+        visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)
         for layer in self.layers:
             stream = layer(stream, told, visible)
-        found = self.head(self.head_norm(stream)).unflatten(-1, (2, 22, 6)).flatten(1, 2)
-        return noisy.new_tensor(_REST) + found[:, :frames]
+        return noisy.new_tensor(_REST) + self.head(self.head_norm(stream)).unflatten(-1, (22, 6))
 
     def estimate(self, noisy: Rotations, features: Features, chain: Chain, place: Steps) -> tuple[Rotations, None]:
         """Estimate the clean rotations at a step of the chain; its variance is not learnt."""
