@@ -202,10 +202,8 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
         Raises:
             TableError: if one is missing, empty or of an unknown version.
-            UsageError: if two are of one dataset, or there is none.
+            UsageError: if two are of one dataset.
         """
-        if not request.data:
-            raise UsageError(f"--data DIR: {self.name} needs a table; `{self.about.build}` makes one.")
         return of_distinct_datasets([self.open_table(folder) for folder in request.data])
 
     def rules(self, request: RunRequest, tables: Sequence[Table]) -> Any:
