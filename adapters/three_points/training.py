@@ -73,7 +73,7 @@ class TracksDataset(DrawnDataset):
         counts: list[int] = []
         for table in self.tables:
             if table.info.fps != fps:
-                raise UsageError(f"{table.folder}: expected {fps:g} frames/s (model.fps), found {table.info.fps:g}.")
+                raise UsageError(f"{table.folder}: expected {fps:g} frames/s, found {table.info.fps:g}: see model.fps.")
             for part in parts_of(split):
                 for track in table.chunks(split=part, columns=(*_DEVICES, "rotations", "offsets"), rows=1):
                     self._take(track, fps)

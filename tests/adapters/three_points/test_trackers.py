@@ -14,7 +14,6 @@ from prbench_adapters.three_points.tracker import LearnedTracker, load_tracker
 from prbench_adapters.three_points.training import TracksDataset, TrackTask, hidden
 from prbench_adapters.training.weights import Weights
 from prbench_benchmarks.three_points.batch import Condition, TrackedBatch
-from tests.shared import made_once
 
 RANDOM = np.random.default_rng(7)
 SMALL = {"width": 16, "heads": 2, "layers": 2, "feed_forward": 16, "hidden": 16, "window": 8}
@@ -59,17 +58,6 @@ def tracker_of(network):
 def regressor():
     torch.manual_seed(0)
     return Regressor(RegressorConfiguration(**SMALL)).eval().requires_grad_(False)
-
-
-@pytest.fixture(scope="module")
-def tracks():
-    def make(out):
-        main(["synthesize", "nymeria", "--count", "4", "--seed", "11", "--out", str(out / "tree")])
-        main(
-            ["build-tracks", "nymeria", "--root", str(out / "tree"), "--devices", "synthetic", "--out", str(out / "t")]
-        )
-
-    return made_once("three-points-tracks", make) / "t"
 
 
 def test_kinematics_are_those_of_the_core():

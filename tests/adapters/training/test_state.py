@@ -23,11 +23,13 @@ from tests.adapters.training.toy import toy
 from tests.fakes import fake_dataset
 
 
-def test_the_rate_rises_linearly_then_stays_or_falls_as_half_a_cosine():
+def test_the_rate_rises_linearly_then_stays_halves_or_falls_as_half_a_cosine():
     cosine = OptimisationConfiguration(steps=8, warmup_steps=4, learning_rate=1.0, schedule="cosine")
     falling = [0.25, 0.5, 0.75, 1.0, 1.0, (1 + 0.5**0.5) / 2, 0.5, (1 - 0.5**0.5) / 2]
     constant = OptimisationConfiguration(steps=5, warmup_steps=2, learning_rate=0.4)
-    for settings, rates in ((cosine, falling), (constant, [0.2, 0.4, 0.4, 0.4, 0.4])):
+    halving = OptimisationConfiguration(steps=9, warmup_steps=3, learning_rate=3.0, schedule="halving")
+    halved = [1.0, 2.0, 3.0, 3.0, 1.5, 0.75, 0.375, 0.1875, 0.09375]
+    for settings, rates in ((cosine, falling), (constant, [0.2, 0.4, 0.4, 0.4, 0.4]), (halving, halved)):
         assert [learning_rate(step, settings) for step in range(settings.steps)] == pytest.approx(rates)
 
 
