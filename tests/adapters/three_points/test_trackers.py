@@ -146,14 +146,16 @@ def test_pieces_of_a_long_track_leave_no_seam(regressor, monkeypatch):
 
 def test_a_track_is_a_function_of_its_own_row(regressor):
     joints, world, _ = smooth_body()
-    position, rotation, valid, turned = (np.stack([each, each[::-1]]) for each in devices(joints, world, 50))
-    batch = TrackedBatch(
-        condition=Condition.HEAD_WRISTS, fps=60.0, n_frames=np.array([50, 30]), position=position, rotation=rotation,
-        valid=valid, rotation_valid=turned, offsets=np.stack([OFFSETS, OFFSETS]), key=(1, 2),
-    )  # fmt: skip
-    both = tracker_of(regressor).track(batch, seed=0).joints
-    alone = tracker_of(regressor).track(batch.chosen([1]), seed=0).joints
-    np.testing.assert_array_equal(both[1], alone[0])
+    arrays = [*(np.stack([each, each[::-1]]) for each in devices(joints, world, 50)), np.stack([OFFSETS, OFFSETS])]
+    names = ("position", "rotation", "valid", "rotation_valid", "offsets")
+
+    def tracked(rows):
+        about = {"n_frames": np.array([50, 30])[rows], "key": tuple(rows), "fps": 60.0}
+        given = {name: each[rows] for name, each in zip(names, arrays, strict=True)}
+        return tracker_of(regressor).track(TrackedBatch(condition=Condition.HEAD_WRISTS, **about, **given), seed=0)
+
+    both = tracked([0, 1]).joints
+    np.testing.assert_array_equal(both[1], tracked([1]).joints[0])
     assert np.isnan(both[1, 30:]).all()
     assert np.isfinite(both[0]).all()
 
