@@ -29,6 +29,9 @@ ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_NAME = 60
+# The dataset of plain recordings; behind the prefix stands the name that a user's own manifest gives them.
+OWN = "own"
+OWN_PREFIX = "own-"
 # Words with another meaning in commands.
 _RESERVED = ("all", "synthetic", "list", "new", "check")
 
@@ -48,13 +51,19 @@ def readable_datasets() -> tuple[str, ...]:
     return tuple(reader.name for reader in installed_readers() if not reader.problem)
 
 
+def layout_of(dataset: str) -> str:
+    """Return the dataset whose reader and manifest serve a table: without ``synthetic-``, and ``own`` for ``own-…``."""
+    name = dataset.removeprefix(SYNTHETIC_PREFIX)
+    return OWN if name.startswith(OWN_PREFIX) else name
+
+
 def find_reader(dataset: str) -> InstalledEntry:
-    """Find the reader of a dataset; ``synthetic-`` before the name is ignored.
+    """Find the reader of a dataset (:func:`layout_of`).
 
     Raises:
         UsageError: for a dataset without reader, with the nearest known name, or one whose reader cannot be used.
     """
-    name = dataset.removeprefix(SYNTHETIC_PREFIX)
+    name = layout_of(dataset)
     claims = [reader for reader in installed_readers() if reader.name == name]
     usable = next((reader for reader in claims if not reader.problem), None)
     if usable is not None:
@@ -79,7 +88,7 @@ def dataset_name_problem(name: str, *, known: Collection[str]) -> str:
     if not _NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
         form = f"at most {_LONGEST_NAME} characters of a to z, 0 to 9 and single hyphens between them"
         return f"expected a name of {form}, found {quoted(repr(name))}"
-    if name in _RESERVED or name.startswith(SYNTHETIC_PREFIX):
+    if name in _RESERVED or name.startswith((SYNTHETIC_PREFIX, OWN_PREFIX)):
         return f"'{name}' is a reserved word of prbench"
     return "" if taken is None else f"'{taken}' is a dataset of prbench already; choose another name"
 

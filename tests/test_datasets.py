@@ -46,7 +46,7 @@ optional_files = []
 rates_hz = {{}}
 body = {{ pose_source = "nobody", head_tilt_deg = 0.0 }}
 """
-OWN = ("adt", "gimo", "hd-epic", "hot3d", "mogaze")
+OWN = ("adt", "gimo", "hd-epic", "hot3d", "mogaze", "own")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ import msgspec
 
 import prbench
 from prbench.board.collect import collect_runs, run_folders
-from prbench.datasets import SYNTHETIC_PREFIX, readable_datasets
+from prbench.datasets import layout_of, readable_datasets
 from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
 from prbench.files.archives import open_archive, write_archive
 from prbench.files.bounded import foreign_input, read_toml, read_whole, require
@@ -149,7 +149,7 @@ def declared_training(texts: Sequence[str]) -> TrainingData:
         raise UsageError(f"training data: {error}") from error
     known = readable_datasets()
     for name in (each.dataset for each in training.datasets):
-        if name.removeprefix(SYNTHETIC_PREFIX) not in known:
+        if layout_of(name) not in known:
             raise UsageError(
                 f"training data: expected datasets among {', '.join(known)}, found {quoted(name)}."
                 f"{did_you_mean(name, known)} Name other data in `corpora` of a TOML file."

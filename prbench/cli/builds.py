@@ -147,6 +147,8 @@ _MOVEMENT = "What must be at least 20 cm: wrist_to_goal (default), pelvis or obj
 _SURE = "Keep sequences of events with at least this event_confidence, from 0 to 1 (docs/specification/curation.md)."
 _CORRECTIONS = "Events that a person drops, moves, renames or gives another hand or goal (docs/review.md)."
 
+_MANIFEST = "With 'own': name, licence and thresholds of your recordings, TOML (docs/own-recordings.md)."
+
 
 @command("build-dataset", example=_EXAMPLE, resumes=True, report=BuildsReport)
 @click.argument("dataset")
@@ -163,6 +165,7 @@ _CORRECTIONS = "Events that a person drops, moves, renames or gives another hand
 @click.option("--minimum-movement", default="wrist_to_goal", metavar="MEASURE", help=_MOVEMENT)
 @click.option("--min-confidence", type=float, default=0.0, metavar="X", help=_SURE)
 @opt.path_option("--corrections", _CORRECTIONS)
+@opt.path_option("--manifest", _MANIFEST)
 @opt.stream_options
 @opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
 @opt.on_error_option()

@@ -26,8 +26,7 @@ from prbench.errors import PrbenchError, StorageError, TableError, UsageError
 from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
-from prbench.readers import SYNTHETIC_PREFIX
+from prbench.protocol.manifests import digest_of, load_protocol
 from prbench.readers.discover import BrokenDataset, FoundDataset, discover
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
@@ -165,7 +164,7 @@ def merge_dataset_shards(
 def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
     """Return what decides a table beside its recordings, as JSON knows it."""
     chosen = msgspec.to_builtins(dataclasses.replace(options, replace=False, on_error="skip"))
-    manifest = digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)))
+    manifest = digest_of(options.manifest_of(dataset))
     protocol = (options.protocol or load_protocol()).digest
     return {"dataset": dataset, "options": chosen, "manifest": manifest, "protocol": protocol}
 
@@ -201,7 +200,7 @@ def _make_parts(
     """Make the parts of some recordings of one dataset, in their order."""
     if not sources:
         return []
-    manifest = load_manifest(sources[0].dataset.removeprefix(SYNTHETIC_PREFIX))
+    manifest = options.manifest_of(sources[0].dataset)
     options.curation.require_fits(manifest)
     protocol = options.protocol or load_protocol()
     job = CurationJob(options.on_error == "fail", work, manifest, protocol, options.curation, corrections)
@@ -212,7 +211,7 @@ def _write_table(
     dataset: str, receipts: SequenceOf[PartReceipt], out: Path, options: BuildOptions, extra_options: Mapping[str, str]
 ) -> BuildReport[DatasetInfo, Recording]:
     """Write the table of all parts of a build."""
-    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    manifest = options.manifest_of(dataset)
     protocol = options.protocol or load_protocol()
     folders = [receipt.folder for receipt in receipts]
     # Only all recordings together say which of them are tested on.
@@ -247,7 +246,7 @@ def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTION
         InputFileError: if there is nothing to read.
     """
     sources = native_sources(dataset, root, options)
-    estimate = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)).estimate or _UNMEASURED
+    estimate = options.manifest_of(dataset).estimate or _UNMEASURED
     size = sum(source.size for source in sources if source.skip_reason is None)
     names = tuple(source.recording_id for source in sources)
     skipped = tuple(source.recording_id for source in sources if source.skip_reason is not None)

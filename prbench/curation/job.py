@@ -31,7 +31,7 @@ from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.limits import HARMLESS_SIZE, LARGEST_ARCHIVE, LARGEST_JSON, LARGEST_PICKLE, LARGEST_UNPACKED
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest, load_protocol
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_protocol
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
@@ -139,7 +139,7 @@ def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tup
         needed = "events are found in its streams, or placed by them, so --events-only is impossible"
         raise UsageError(f"{dataset}: its {needed}; leave it out. It lists those of hd-epic.")
     reader = reader_for(dataset, dict(options.reader))
-    manifest = load_manifest(reader.dataset)
+    manifest = options.manifest_of(dataset)
     options.curation.require_fits(manifest)
     recordings = reader.find(root)
     repeated = first_repeated(recording.recording_id for recording in recordings)
@@ -367,7 +367,7 @@ def describe(
     dataset: str, options: BuildOptions, receipts: SequenceOf[PartReceipt], extra_options: Mapping[str, str]
 ) -> DatasetInfo:
     """Provenance of a build; its two digests are filled in when the tables are written."""
-    manifest = load_manifest(dataset.removeprefix(readers.SYNTHETIC_PREFIX))
+    manifest = options.manifest_of(dataset)
     protocol = options.protocol or load_protocol()
     outcomes = sum((Counter(receipt.record.outcomes) for receipt in receipts), Counter[str]())
     statuses = Counter(receipt.record.status for receipt in receipts)

@@ -10,9 +10,10 @@ from typing import Any, Literal
 from prbench.curation.corrections import Corrections, read_corrections
 from prbench.curation.mending import Numbers, stream_numbers
 from prbench.curation.priming import RAY_ORIGINS
+from prbench.datasets import OWN, layout_of
 from prbench.errors import UsageError
 from prbench.geometry.shapes import import_open3d
-from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest, read_own_manifest
 
 # What each option of curation may be.
 _CHOICES = {
@@ -111,6 +112,15 @@ class BuildOptions:
     replace: bool = False
     corrections: Corrections | None = None
 
+    def manifest_of(self, dataset: str) -> Manifest:
+        """Return the manifest that a dataset is built by: of own recordings the user's, where there is one.
+
+        Raises:
+            InputFileError: if the user's is none.
+        """
+        chosen = dict(self.reader).get("manifest") if layout_of(dataset) == OWN else None
+        return load_manifest(layout_of(dataset)) if chosen is None else read_own_manifest(Path(chosen).expanduser())
+
     @property
     def packages(self) -> tuple[str, ...]:
         """Distributions that reading needs beside prbench's own."""
@@ -131,6 +141,7 @@ def build_options(
     replace: bool,
     corrections: Path | None,
     events_only: bool,
+    manifest: Path | None = None,
     **curation: Any,
 ) -> BuildOptions:
     """Make the options of a build from what a command line or a program says.
@@ -144,6 +155,7 @@ def build_options(
         replace: See :class:`BuildOptions`.
         corrections: File of corrections.
         events_only: List annotated events alone, without any stream.
+        manifest: The user's manifest of own recordings.
         curation: Fields of :class:`CurationOptions`; ``shift`` and ``scale`` map streams to texts or numbers.
 
     Raises:
@@ -157,6 +169,8 @@ def build_options(
     implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
     if events_only:
         implied["events_only"] = "true"
+    if manifest is not None:
+        implied["manifest"] = str(manifest)
     return BuildOptions(
         curation=CurationOptions(**curation),
         recordings=recordings,

@@ -12,15 +12,19 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import shutil
 import stat
 import tomllib
+import typing
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
-from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
+import msgspec
+
+from prbench.errors import InputFileError, PrbenchError, UnforeseenInput, did_you_mean
 from prbench.limits import (
     HARMLESS_SIZE,
     HIGHEST_COMPRESSION,
@@ -30,6 +34,7 @@ from prbench.limits import (
     LONGEST_LINE,
 )
 
+Form = TypeVar("Form", bound=msgspec.Struct)
 _COPY_AGAIN = "The file may be damaged; copy or download it again."
 _TOO_LARGE = "This is another file, or a damaged one."
 _OF_THE_KERNEL = ("/proc/", "/sys/")
@@ -234,6 +239,42 @@ def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> di
         return tomllib.loads(read_text(path, expected=expected, remedy=remedy, largest=HARMLESS_SIZE))
     except tomllib.TOMLDecodeError as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=remedy) from error
+
+
+def structured(path: Path, values: Mapping[str, Any], form: type[Form]) -> Form:
+    """Turn the content of a file into a data class.
+
+    Args:
+        path: The file, for messages.
+        values: Its content.
+        form: A class of msgspec, which may hold others.
+
+    Raises:
+        InputFileError: for an unknown key (with the nearest known one), a missing key, or a value of another kind
+            (with those that it may have, where they are a list).
+    """
+    try:
+        return msgspec.convert(values, form)
+    except msgspec.ValidationError as error:
+        said, _, place = str(error).partition(" - at `$")
+        keys = re.findall(r"[\w-]+", place)
+        kind: Any = form
+        for key in keys:
+            kinds = (kind, *typing.get_args(kind))  # one of them may be None
+            struct = next((each for each in kinds if isinstance(each, msgspec.StructMeta)), None)
+            kind = typing.get_type_hints(struct).get(key) if struct else None
+        named = re.search(r"(unknown|required) field `(.+)`", said)
+        if named is None:
+            choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
+            expected = f"one of {', '.join(map(str, choices))}" if choices else "a value of the key's type"
+            raise InputFileError(path, ".".join(keys), expected=expected, found=said) from error
+        where = ".".join([*keys, named[2]])
+        if named[1] == "required":
+            raise InputFileError(path, where, expected="this key", found="no such key") from error
+        known = getattr(kind, "__struct_fields__", ())
+        hint = did_you_mean(named[2], known).strip()
+        expected = f"keys among {', '.join(known)}"
+        raise InputFileError(path, where, expected=expected, found="an unknown one", remedy=hint) from error
 
 
 # Attributes by which the objects that readers pass around name the file or folder that they stand for.

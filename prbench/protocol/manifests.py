@@ -8,13 +8,24 @@ import tomllib
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from prbench.datasets import find_reader, folder_of, own_datasets, readable_datasets
+from prbench.datasets import (
+    OWN,
+    OWN_PREFIX,
+    dataset_name_problem,
+    find_reader,
+    folder_of,
+    layout_of,
+    own_datasets,
+    readable_datasets,
+)
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input
+from prbench.files import bounded
+from prbench.files.bounded import foreign_input, require
 from prbench.shown import quoted
 
 Redistribution = Literal["none", "non-commercial", "yes"]
@@ -286,10 +297,13 @@ def digest_of(constants: msgspec.Struct) -> str:
 def load_manifest(dataset: str) -> Manifest:
     """Load the manifest of a dataset: prbench's own, or the one beside an installed package's reader.
 
+    ``own-…`` has that of own recordings; :func:`read_own_manifest` reads a user's.
+
     Raises:
         UsageError: for a dataset without manifest, or whose package cannot be used.
         InputFileError: if the file is missing or does not fit the data class (naming the key).
     """
+    dataset = layout_of(dataset)
     if dataset in own_datasets():
         own = read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
         stored = resources.files("prbench_data_manifests") / "splits" / f"{dataset}.csv"
@@ -305,6 +319,34 @@ def load_manifest(dataset: str) -> Manifest:
         found = f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'"
         raise InputFileError(file, "", expected=f"name = '{dataset}' and kind = 'benchmark'", found=found)
     return manifest
+
+
+@foreign_input()
+def read_own_manifest(path: Path) -> Manifest:
+    """Read a user's manifest of own recordings (docs/own-recordings.md#a-manifest).
+
+    Args:
+        path: TOML with ``name``, ``licence``, ``redistribution`` and any other key of a manifest.
+
+    Returns:
+        The manifest; ``own-`` stands before its name, so that it never passes as another dataset's.
+
+    Raises:
+        InputFileError: if a key is missing, unknown or of another type, or the name is that of a known dataset.
+    """
+    values = bounded.read_toml(path, "a manifest's TOML file")
+    shipped = msgspec.to_builtins(load_manifest(OWN))
+    for key in ("name", "licence", "redistribution"):
+        require(path, (key in values, key, "this key: it says who may use what", "no such key", ""))
+    for part in ("body", "thresholds", "in_hand"):
+        odd = next(iter(values.get(part, {}).keys() - shipped[part].keys()), "")
+        remedy = did_you_mean(odd, shipped[part]).strip()
+        require(path, (not odd, f"{part}.{odd}", f"keys among {', '.join(shipped[part])}", "another one", remedy))
+        values[part] = {**shipped[part], **values.get(part, {})}
+    name = str(values["name"]).removeprefix(OWN_PREFIX)
+    problem = dataset_name_problem(name, known=dataset_names())
+    require(path, (not problem, "name", "a name of its own", f"'{name}': {problem}", ""))
+    return bounded.structured(path, {**shipped, **values, "name": f"{OWN_PREFIX}{name}"}, Manifest)
 
 
 @cache

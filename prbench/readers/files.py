@@ -6,6 +6,7 @@ Nothing is unpacked to the disk.
 from __future__ import annotations
 
 import contextlib
+import csv
 import dataclasses
 import io
 import re
@@ -25,6 +26,7 @@ from jaxtyping import Bool, Float, Int
 from prbench import limits
 from prbench.errors import InputFileError
 from prbench.files import bounded
+from prbench.files.bounded import read_text
 from prbench.readers.found import InputFile
 from prbench.recording import UnreadableEntry
 
@@ -495,6 +497,29 @@ def header_names(line: bytes) -> list[str]:
         UnicodeDecodeError: if it is no text.
     """
     return [name.strip().strip('"') for name in line.decode("utf-8-sig").rstrip("\r\n").split(",")]
+
+
+def read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Read a CSV file that people write line by line.
+
+    Returns:
+        Its header, and its further lines that hold anything, with their numbers.
+
+    Raises:
+        InputFileError: if it is missing, is no text, or lacks one of the columns; ``remedy`` says what to do then.
+    """
+    try:
+        reader = csv.reader(io.StringIO(read_text(path, largest=limits.HARMLESS_SIZE)))
+        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    except csv.Error as error:
+        raise InputFileError(path, "", expected="text with comma-separated values", found=str(error)) from error
+    lines = [(number, cells) for number, cells in lines if any(cells)]
+    header = lines[0][1] if lines else []
+    found = f"the columns {', '.join(cell or '(unnamed)' for cell in header) or '(none)'}"
+    bounded.require(path, *((name in header, "header", f"a column '{name}'", found, remedy) for name in columns))
+    return header, lines[1:]
 
 
 def write_table(file: Any, table: pa.Table) -> None:

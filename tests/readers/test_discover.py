@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,17 +11,21 @@ from prbench.checking.inspection import missing_files
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError
 from prbench.protocol.manifests import load_manifest
-from prbench.readers import reader_for
+from prbench.readers import SYNTHETIC_FILE, reader_for
 from prbench.readers.discover import discover
 from prbench.synthetic.write_tree import synthesize_tree
+from tests.readers.own.plain import recording_of, write_plain
 
 
 @pytest.fixture(scope="module")
 def copies(tmp_path_factory) -> Path:
     """A synthetic tree of every dataset side by side; not to be changed."""
     root = tmp_path_factory.mktemp("copies")
-    for dataset in readable_datasets():
+    for dataset in set(readable_datasets()) - {"own"}:
         synthesize_tree(dataset, root / dataset, recordings=1, seed=3, n_events=2)
+    write_plain(root / "own", recording_of("hd-epic"))
+    mark = json.loads((root / "adt" / SYNTHETIC_FILE).read_text())
+    (root / "own" / SYNTHETIC_FILE).write_text(json.dumps({**mark, "preset": "own", "split": {"one": "test"}}))
     return root
 
 

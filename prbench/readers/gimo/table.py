@@ -6,18 +6,14 @@ says neither when something is picked up nor where; *Prime and Reach* annotated 
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from prbench.errors import InputFileError
-from prbench.files.bounded import read_text, require
-from prbench.limits import HARMLESS_SIZE
-from prbench.readers.files import missing_file, read_entries
+from prbench.files.bounded import require
+from prbench.readers.files import read_entries, read_lines
 from prbench.readers.gimo import format as gimo
 from prbench.recording import Side, UnreadableEntry
 
@@ -81,7 +77,7 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
     Raises:
         InputFileError: for a missing column, or a table without any segment.
     """
-    header, lines = _read_lines(path, gimo.TABLE_COLUMNS, "This is another file, or another version of the table.")
+    header, lines = read_lines(path, gimo.TABLE_COLUMNS, "This is another file, or another version of the table.")
     has_hints = len(header) <= gimo.HINT_INDEX or header[gimo.HINT_INDEX] in ("", f"Unnamed: {gimo.HINT_INDEX}")
 
     def read_segment(cells: list[str]) -> gimo.Segment:
@@ -120,22 +116,6 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
     return tuple(rows.values()), unreadable
 
 
-def _read_lines(path: Path, columns: Iterable[str], remedy: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header of a CSV file, and its further lines that hold anything, with their numbers."""
-    try:
-        reader = csv.reader(io.StringIO(read_text(path, largest=HARMLESS_SIZE)))
-        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
-    except csv.Error as error:
-        raise InputFileError(path, "", expected="text with comma-separated values", found=str(error)) from error
-    lines = [(number, cells) for number, cells in lines if any(cells)]
-    header = lines[0][1] if lines else []
-    found = f"the columns {', '.join(cell or '(unnamed)' for cell in header) or '(none)'}"
-    require(path, *((name in header, "header", f"a column '{name}'", found, remedy) for name in columns))
-    return header, lines[1:]
-
-
 def _whole(text: str) -> int:
     """Return the frame number in a cell; -1 where there is none."""
     try:
@@ -163,7 +143,7 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
     """
     remedy = f"The columns are {', '.join(gimo.EVENT_COLUMNS)};"
     remedy += " `prbench build-dataset gimo --propose-events FILE` writes such a file."
-    header, lines = _read_lines(path, (name for name in gimo.EVENT_COLUMNS if name != "hand"), remedy)
+    header, lines = read_lines(path, (name for name in gimo.EVENT_COLUMNS if name != "hand"), remedy)
     return tuple(_event_row(path, line, dict(zip(header, cells, strict=False))) for line, cells in lines)
 
 

@@ -1,1 +1,54 @@
 """Reader of plain recordings, the form into which anybody's own recordings are brought (docs/own-recordings.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.files.bounded import foreign_input
+from prbench.protocol.manifests import Manifest, load_manifest, read_own_manifest
+from prbench.readers import ReaderOptions
+from prbench.readers.found import RecordingFiles
+from prbench.readers.own.files import extents, find_recordings, read_readings
+from prbench.readers.own.to_recording import recording_from_tables
+from prbench.recording import Recording
+
+
+class OwnOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Options of the reader of plain recordings.
+
+    Attributes:
+        manifest: A manifest of one's own: name, licence, thresholds.
+    """
+
+    manifest: Path | None = None
+
+
+@dataclass(frozen=True)
+class OwnReader:
+    """See :class:`prbench.readers.Reader`."""
+
+    dataset: str = "own"
+    options: OwnOptions = OwnOptions()  # noqa: RUF009 (frozen)
+    extents = staticmethod(extents)
+
+    @property
+    def manifest(self) -> Manifest:
+        """Return the user's manifest, or prbench's."""
+        file = self.options.manifest
+        return load_manifest(self.dataset) if file is None else read_own_manifest(file.expanduser())
+
+    @foreign_input()
+    def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
+        """See :func:`prbench.readers.own.files.find_recordings`."""
+        return find_recordings(root, self.manifest.name)
+
+    @foreign_input()
+    def read(self, found: RecordingFiles) -> Recording:
+        """See :class:`prbench.readers.Reader`."""
+        manifest = self.manifest
+        found.require_usable(manifest.why_bad(found.recording_id))
+        return recording_from_tables(read_readings(found), manifest, found)
+
+
+READER = OwnReader()

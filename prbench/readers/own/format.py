@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,6 +17,8 @@ ABOUT_FILE = "recording.toml"
 SUFFIXES = (".parquet", ".csv")
 # Seconds a unit.
 TIME_UNITS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
+# Metres a unit.
+LENGTH_UNITS = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001})
 # Name of the 22 joints beside that of the converters.
 SMPL_22 = "smpl22"
 
@@ -120,6 +123,11 @@ class Columns:
         """Return all of them."""
         return (*self.required, *(name for group in self.optional for name in group))
 
+
+# Words that a column of text may hold; the empty one where nothing is stated.
+WORDS = MappingProxyType({"side": ("left", "right"), "movable": ("true", "false", "yes", "no", "1", "0", "")})
+# Form of a body's source, which becomes a part of the names of sequences.
+SOURCE = re.compile(r"[a-z0-9-]*")
 
 # The body's columns are named after the joints of its skeleton: ``<joint>_x``.
 TABLES: Mapping[str, Columns] = MappingProxyType(
