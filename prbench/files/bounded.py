@@ -256,25 +256,18 @@ def structured(path: Path, values: Mapping[str, Any], form: type[Form]) -> Form:
     try:
         return msgspec.convert(values, form)
     except msgspec.ValidationError as error:
-        said, _, place = str(error).partition(" - at `$")
-        keys = re.findall(r"[\w-]+", place)
+        said, _, place = str(error).partition(" - at `$.")
         kind: Any = form
-        for key in keys:
-            kinds = (kind, *typing.get_args(kind))  # one of them may be None
-            struct = next((each for each in kinds if isinstance(each, msgspec.StructMeta)), None)
-            kind = typing.get_type_hints(struct).get(key) if struct else None
-        named = re.search(r"(unknown|required) field `(.+)`", said)
-        if named is None:
-            choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
-            expected = f"one of {', '.join(map(str, choices))}" if choices else "a value of the key's type"
-            raise InputFileError(path, ".".join(keys), expected=expected, found=said) from error
-        where = ".".join([*keys, named[2]])
-        if named[1] == "required":
-            raise InputFileError(path, where, expected="this key", found="no such key") from error
-        known = getattr(kind, "__struct_fields__", ())
-        hint = did_you_mean(named[2], known).strip()
-        expected = f"keys among {', '.join(known)}"
-        raise InputFileError(path, where, expected=expected, found="an unknown one", remedy=hint) from error
+        for key in place.rstrip("`").split("."):  # down to the key that is blamed; one kind of two may be None
+            if isinstance(kind, msgspec.StructMeta):
+                kind = {field.name: field.type for field in msgspec.structs.fields(kind)}.get(key, kind)
+            kind = next((each for each in typing.get_args(kind) if isinstance(each, msgspec.StructMeta)), kind)
+        choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
+        known = getattr(kind, "__struct_fields__", choices)
+        named = re.search(r"unknown field `(.+)`", said)
+        remedy = did_you_mean(named[1], known).strip() if named else ""
+        expected = f"what is known here: {', '.join(map(str, known))}" if known else "a value of the key's type"
+        raise InputFileError(path, place.rstrip("`"), expected=expected, found=said, remedy=remedy) from error
 
 
 # Attributes by which the objects that readers pass around name the file or folder that they stand for.

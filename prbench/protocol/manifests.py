@@ -13,16 +13,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from prbench.datasets import (
-    OWN,
-    OWN_PREFIX,
-    dataset_name_problem,
-    find_reader,
-    folder_of,
-    layout_of,
-    own_datasets,
-    readable_datasets,
-)
+from prbench import datasets
 from prbench.errors import InputFileError, UsageError, did_you_mean
 from prbench.files import bounded
 from prbench.files.bounded import foreign_input, require
@@ -303,8 +294,8 @@ def load_manifest(dataset: str) -> Manifest:
         UsageError: for a dataset without manifest, or whose package cannot be used.
         InputFileError: if the file is missing or does not fit the data class (naming the key).
     """
-    dataset = layout_of(dataset)
-    if dataset in own_datasets():
+    dataset = datasets.layout_of(dataset)
+    if dataset in datasets.own_datasets():
         own = read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
         stored = resources.files("prbench_data_manifests") / "splits" / f"{dataset}.csv"
         if not stored.is_file():
@@ -313,7 +304,7 @@ def load_manifest(dataset: str) -> Manifest:
         return msgspec.structs.replace(own, splits={row["recording_id"]: row["split"] for row in csv.DictReader(lines)})
     if dataset not in dataset_names():
         raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
-    file = folder_of(find_reader(dataset)) / f"{dataset}.toml"
+    file = datasets.folder_of(datasets.find_reader(dataset)) / f"{dataset}.toml"
     manifest = _convert_toml(file, Manifest)
     if manifest.name != dataset or manifest.kind != "benchmark":
         found = f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'"
@@ -335,18 +326,22 @@ def read_own_manifest(path: Path) -> Manifest:
         InputFileError: if a key is missing, unknown or of another type, or the name is that of a known dataset.
     """
     values = bounded.read_toml(path, "a manifest's TOML file")
-    shipped = msgspec.to_builtins(load_manifest(OWN))
+    shipped = msgspec.to_builtins(load_manifest(datasets.OWN))
     for key in ("name", "licence", "redistribution"):
         require(path, (key in values, key, "this key: it says who may use what", "no such key", ""))
-    for part in ("body", "thresholds", "in_hand"):
-        odd = next(iter(values.get(part, {}).keys() - shipped[part].keys()), "")
-        remedy = did_you_mean(odd, shipped[part]).strip()
-        require(path, (not odd, f"{part}.{odd}", f"keys among {', '.join(shipped[part])}", "another one", remedy))
-        values[part] = {**shipped[part], **values.get(part, {})}
-    name = str(values["name"]).removeprefix(OWN_PREFIX)
-    problem = dataset_name_problem(name, known=dataset_names())
+    name = str(values["name"]).removeprefix(datasets.OWN_PREFIX)
+    problem = datasets.dataset_name_problem(name, known=dataset_names())
     require(path, (not problem, "name", "a name of its own", f"'{name}': {problem}", ""))
-    return bounded.structured(path, {**shipped, **values, "name": f"{OWN_PREFIX}{name}"}, Manifest)
+    values["name"] = f"{datasets.OWN_PREFIX}{name}"
+    for part in ("body", "thresholds", "in_hand"):  # what they do not state stays
+        if isinstance(given := values.get(part, {}), dict):
+            values[part] = {**shipped[part], **given}
+    manifest = bounded.structured(path, {**shipped, **values}, Manifest)
+    known = shipped["thresholds"]
+    for key in manifest.thresholds:
+        remedy = did_you_mean(key, known).strip()
+        require(path, (key in known, f"thresholds.{key}", f"one of {', '.join(known)}", "another one", remedy))
+    return manifest
 
 
 @cache
@@ -369,7 +364,7 @@ def load_citations() -> dict[str, str]:
 
 def dataset_names() -> tuple[str, ...]:
     """Names of prbench's own datasets and corpora, and of the datasets of installed packages, sorted."""
-    return tuple(sorted({*own_datasets(), *readable_datasets()}))
+    return tuple(sorted({*datasets.own_datasets(), *datasets.readable_datasets()}))
 
 
 _Loaded = TypeVar("_Loaded")

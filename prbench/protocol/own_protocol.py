@@ -22,7 +22,7 @@ import msgspec
 import tomli_w
 
 from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_toml, require
+from prbench.files.bounded import foreign_input, read_toml, require, structured
 from prbench.files.storage import write_text
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
 
@@ -57,11 +57,7 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         hint = did_you_mean(key, wanted)
         raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
     require(path, *((False, key, "every key of the protocol", "no such key", _START) for key in sorted(wanted - given)))
-    try:
-        protocol = msgspec.convert(values, BenchmarkProtocol)
-    except msgspec.ValidationError as error:
-        key = str(error).partition("`$.")[2].rstrip("`")
-        raise InputFileError(path, key, expected="a value of the key's type", found=str(error)) from error
+    protocol = structured(path, values, BenchmarkProtocol)
     is_name = _NAME.fullmatch(protocol.name) is not None and protocol.name != PROTOCOL_NAME
     name = f"small letters, digits, '.', '_' and '-', and not '{PROTOCOL_NAME}', which is prbench's own"
     conditions = load_protocol().conditions

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
+from jaxtyping import Float
 
-from prbench.representation.converters import JOINT_MAPS, JointMap, joint_map
+from prbench.representation.converters import JOINT_MAPS, JointMap, to_y_up
 
 ABOUT_FILE = "recording.toml"
 # Endings of a table's file; a recording has at most one file for each table.
@@ -19,8 +20,8 @@ SUFFIXES = (".parquet", ".csv")
 TIME_UNITS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
 # Metres a unit.
 LENGTH_UNITS = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001})
-# Name of the 22 joints beside that of the converters.
-SMPL_22 = "smpl22"
+# Skeletons by the names that converters use; the 22 joints have another one, too.
+SKELETONS: Mapping[str, JointMap] = MappingProxyType({"smpl22": JOINT_MAPS["humanml3d-22"], **JOINT_MAPS})
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
@@ -67,41 +68,65 @@ class Video(_Part, kw_only=True):
     """Time of frame 0 on the clock of the tables, in their unit, and frames a second."""
 
     start: float = 0.0
-    fps: float
+    fps: Annotated[float, msgspec.Meta(gt=0)]
 
 
 class Body(_Part, kw_only=True):
     """Name of the body's skeleton, and what measured or estimated it."""
 
-    skeleton: str = SMPL_22
-    source: str = ""
-
-    @property
-    def map(self) -> JointMap:
-        """Return the map of its joints to the 22.
-
-        Raises:
-            UsageError: for an unknown skeleton, with the nearest known one.
-        """
-        return JOINT_MAPS["humanml3d-22"] if self.skeleton == SMPL_22 else joint_map(self.skeleton)
+    skeleton: str = "smpl22"
+    source: Annotated[str, msgspec.Meta(pattern="^[a-z0-9-]*$")] = ""  # becomes a part of the names of sequences
 
 
 class About(_Part, kw_only=True):
-    """The content of ``recording.toml``.
+    """The content of ``recording.toml``, and what it says of our world: metres, Y up, right-handed, seconds.
+
+    A left-handed world is mirrored, and so are the axes of each rigid body in it, by their x.
 
     Attributes:
-        participant: Name of the person; recordings of one person are kept together where splits are drawn.
+        participant: Name of the person.
         video: None where events have times and no frames.
     """
 
     version: Literal[1] = 1
-    participant: str
+    participant: Annotated[str, msgspec.Meta(min_length=1)]
     units: Units
     axes: Axes
     head: HeadAxes = HeadAxes()
     gaze: GazeFrame = GazeFrame()
     video: Video | None = None
     body: Body = Body()
+
+    @property
+    def metres(self) -> float:
+        """Metres a unit of length."""
+        return LENGTH_UNITS[self.units.length]
+
+    @property
+    def seconds(self) -> float:
+        """Seconds a unit of time."""
+        return TIME_UNITS[self.units.time]
+
+    @property
+    def turn(self) -> Float[np.ndarray, "3 3"]:
+        """Our axes from the stated ones: a rotation, of a left-handed world with a reflection."""
+        return to_y_up(np.eye(3), up=self.axes.up, left_handed=self.axes.handed == "left").T
+
+    @property
+    def mirror(self) -> Float[np.ndarray, "3 3"]:
+        """A rigid body's axes from the stated ones."""
+        return np.diag([-1.0 if self.axes.handed == "left" else 1.0, 1.0, 1.0])
+
+    @property
+    def head_from_cpf(self) -> Float[np.ndarray, "3 3"]:
+        """Axes of the head's pose from left, up and forward of the face."""
+        stated = dict(zip(("x", "y", "z", "-x", "-y", "-z"), [*self.mirror, *-self.mirror], strict=True))
+        up, forward = stated[self.head.up], stated[self.head.forward]
+        return np.column_stack([np.cross(up, forward), up, forward])
+
+    def points(self, positions: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
+        """Return positions in our world, metres."""
+        return positions @ self.turn.T * self.metres
 
 
 POINT = ("x", "y", "z")
@@ -111,6 +136,10 @@ BOX = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 TEXTS = frozenset({"side", "object_id", "name", "category", "movable", "action", "object", "hand"})
 
 
+GAZE = ("dx", "dy", "dz")
+ORIGIN = ("ox", "oy", "oz")
+
+
 @dataclass(frozen=True)
 class Columns:
     """The columns of one table: those that it must have, and groups that are there together or not at all."""
@@ -118,22 +147,15 @@ class Columns:
     required: tuple[str, ...]
     optional: tuple[tuple[str, ...], ...] = ()
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return all of them."""
-        return (*self.required, *(name for group in self.optional for name in group))
-
 
 # Words that a column of text may hold; the empty one where nothing is stated.
 WORDS = MappingProxyType({"side": ("left", "right"), "movable": ("true", "false", "yes", "no", "1", "0", "")})
-# Form of a body's source, which becomes a part of the names of sequences.
-SOURCE = re.compile(r"[a-z0-9-]*")
 
 # The body's columns are named after the joints of its skeleton: ``<joint>_x``.
 TABLES: Mapping[str, Columns] = MappingProxyType(
     {
         "head": Columns(("time", *POINT, *QUATERNION)),
-        "gaze": Columns(("time", "dx", "dy", "dz"), (("ox", "oy", "oz"),)),
+        "gaze": Columns(("time", *GAZE), (ORIGIN,)),
         "wrists": Columns(("time", "side", *POINT), (QUATERNION,)),
         "body": Columns(("time",)),
         "objects": Columns(("object_id", "name"), (("category",), ("movable",), BOX)),
@@ -143,12 +165,12 @@ TABLES: Mapping[str, Columns] = MappingProxyType(
 )
 
 
-def body_columns(skeleton: JointMap) -> tuple[str, ...]:
-    """Return the columns of a skeleton's joints, in the order of its arrays."""
-    return tuple(f"{joint}_{axis}" for joint in skeleton.source_joints for axis in POINT)
+def body_columns(about: About) -> tuple[str, ...]:
+    """Return the columns of the joints of a recording's skeleton, in the order of its arrays."""
+    return tuple(f"{joint}_{axis}" for joint in SKELETONS[about.body.skeleton].source_joints for axis in POINT)
 
 
 def columns_of(table: str, about: About) -> Columns:
     """Return the columns of one table of a recording."""
-    joints = body_columns(about.body.map) if table == "body" else ()
+    joints = body_columns(about) if table == "body" else ()
     return Columns((*TABLES[table].required, *joints), TABLES[table].optional)

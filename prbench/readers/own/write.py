@@ -34,23 +34,18 @@ def write_recording(
         suffix: Kind of the files.
 
     Raises:
-        UsageError: for an unknown table, a missing column or columns of different lengths.
+        UsageError: for an unknown table or a missing column.
         StorageError: if the folder holds something else, or cannot be written.
     """
     folder = Path(folder).expanduser().absolute()
-    frames = {}
-    for name, values in tables.items():
+    require_replaceable(folder, own.ABOUT_FILE, kind="plain recording")
+    frames = {name: pd.DataFrame(dict(values)) for name, values in tables.items()}
+    for name, frame in frames.items():
         if name not in own.TABLES:
             raise UsageError(f"{folder}: there is no table '{name}'.{did_you_mean(name, own.TABLES)}")
-        try:
-            frames[name] = pd.DataFrame(dict(values))
-        except ValueError as error:
-            raise UsageError(f"{folder}, {name}: expected columns of one length: {error}.") from error
         for column in own.columns_of(name, about).required:
-            if column not in frames[name]:
-                near = did_you_mean(column, frames[name].columns)
-                raise UsageError(f"{folder}, {name}: expected a column '{column}', found none.{near}")
-    require_replaceable(folder, own.ABOUT_FILE, kind="plain recording")
+            if column not in frame:
+                raise UsageError(f"{folder}, {name}: expected a column '{column}', found none.")
     values = {key: value for key, value in msgspec.to_builtins(about).items() if value is not None}
     with atomic_folder(folder) as made:
         (made / own.ABOUT_FILE).write_text(tomli_w.dumps(values), encoding="utf-8")

@@ -90,7 +90,7 @@ def plain_tables(recording: Recording, about: own.About) -> dict[str, dict[str, 
     if recording.body is not None:
         body = recording.body
         joints = (world(body.joints) * length).reshape(len(body.times), -1)
-        names = own.body_columns(about.body.map)
+        names = own.body_columns(about)
         tables["body"] = {"time": body.times * time, **dict(zip(names, masked(joints, body.valid).T))}
     wrists = [hand for hand in recording.hands if hand.contact == "wrist"]
     if wrists:
