@@ -16,7 +16,7 @@ from typing import Any, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_toml
+from prbench.files.bounded import foreign_input, read_toml, structured
 
 DEFAULT_STAGES = ("pretrain", "finetune")
 _DEFAULT_CONFIGURATION = "small"
@@ -231,12 +231,8 @@ def resolve(
     merged = _merged(merged, stages.get(stage, {}))
     for key, text in overrides:
         merged = _merged(merged, _override(key, text))
-    try:
-        return msgspec.convert(merged, TrainingConfiguration)
-    except msgspec.ValidationError as error:
-        remedy = "`prbench train --method NAME --show-config` prints a complete one."
-        expected = "a training configuration"
-        raise InputFileError(source, f"stage {stage}", expected=expected, found=str(error), remedy=remedy) from error
+    remedy = "`prbench train --method NAME --show-config` prints a complete one."
+    return structured(source, merged, TrainingConfiguration, remedy=remedy)
 
 
 def as_toml(configuration: TrainingConfiguration) -> str:

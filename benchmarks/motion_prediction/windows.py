@@ -325,7 +325,7 @@ class WindowsPlan:
 
 
 def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
-    manifest = digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)))
+    manifest = digest_of(load_manifest(dataset))
     protocol = load_prediction_protocol().digest
     return {"dataset": dataset, "joint_set": joints, "options": options, "manifest": manifest, "protocol": protocol}
 
@@ -355,7 +355,7 @@ def plan_windows(
     """
     sources = native_sources(dataset, root, BuildOptions(recordings=recordings, limit=limit, reader=reader))
     name = sources[0].dataset
-    manifest = load_manifest(name.removeprefix(SYNTHETIC_PREFIX))
+    manifest = load_manifest(name)
     published = isinstance(reader_for(name, dict(reader)), PublishedForPrediction)
     expected = "a dataset with joints of its own that a study of prediction published"
     remedy = "Leave the option out: every dataset has the 22 joints."
@@ -450,7 +450,7 @@ def _write_table(
 ) -> parts.BuildReport[table.WindowsInfo, RecordingRow]:
     """Write the table of all parts of a build."""
     dataset = settings["dataset"]
-    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    manifest = load_manifest(dataset)
     protocol = load_prediction_protocol()
     records = [each.record for each in finished]
     read = [each for each in finished if each.record.status == "read"]

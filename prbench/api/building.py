@@ -99,7 +99,6 @@ def build_dataset(
     minimum_movement: str = "wrist_to_goal",
     min_confidence: float = 0.0,
     corrections: args.PathLike | None = None,
-    manifest: args.PathLike | None = None,
     events_only: bool = False,
     shift: Mapping[str, float] | None = None,
     scale: Mapping[str, float] | None = None,
@@ -128,14 +127,13 @@ def build_dataset(
         min_confidence: Smallest ``event_confidence`` of a sequence, from 0 to 1; events below end as
             ``low_confidence``.
         corrections: File of a person's corrections of events, CSV or TOML (docs/review.md).
-        manifest: Your manifest of own recordings, TOML (docs/own-recordings.md).
         events_only: List picks and puts from the annotations alone, without sequences (hd-epic).
         shift: Seconds to add to the times of a stream: gaze, camera, head, body, hands or objects.
         scale: Factor on the positions of a stream, such as ``{"objects": 0.001}`` for millimetres.
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         option: Options of the dataset's reader, by name; ``poses`` says where bodies come from, for example ``egoallo``
-            in place of ADT's suit.
+            in place of ADT's suit; ``manifest`` is the file of ``own`` recordings (docs/own-recordings.md).
         workers: Processes to use, or a :class:`prbench.Cluster`; changes no result. A script that asks for several
             processes needs ``if __name__ == "__main__":``.
 
@@ -162,9 +160,7 @@ def build_dataset(
     chosen = {
         name: value for name, value in given.items() if name not in ("dataset", "root", "out", "workers", "option")
     }
-    paths: dict[str, Any] = {
-        name: args.as_optional_path(given[name]) for name in ("protocol", "corrections", "manifest")
-    }
+    paths: dict[str, Any] = {name: args.as_optional_path(given[name]) for name in ("protocol", "corrections")}
     options = build_options(**(chosen | paths), option=args.as_options(option))
     if is_url(root):  # a local copy of the files that the dataset's reader asks for
         from prbench.object_stores.inputs import fetched_native

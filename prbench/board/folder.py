@@ -16,7 +16,7 @@ import msgspec
 
 from prbench.board.submission import Submission
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, read_text, read_toml, require
+from prbench.files.bounded import foreign_input, read_text, read_toml, require, structured
 from prbench.files.storage import bytes_digest, text_digest
 from prbench.harness.run_folder.record import CONTROL
 
@@ -162,10 +162,7 @@ class BoardFolder:
                 no entry or contradicts an earlier one; names the key or line.
         """
         values = read_toml(path / INFO, "a board", f"Make one with `prbench leaderboard init {path}`.")
-        try:
-            info = msgspec.convert(values, BoardInfo)
-        except msgspec.ValidationError as error:
-            raise InputFileError(path / INFO, "", expected="the keys of a board", found=str(error)) from error
+        info = structured(path / INFO, values, BoardInfo)
         file = path / HISTORY
         # Not splitlines, which also splits at signs that a reason may hold.
         lines = list(filter(None, read_text(file).split("\n"))) if file.exists() else []

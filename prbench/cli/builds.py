@@ -182,6 +182,8 @@ def build_dataset(
     from prbench.curation.options import build_options
 
     propose_events = given.pop("propose_events")
+    if (manifest := given.pop("manifest")) is not None:
+        options = {**options, "manifest": str(manifest)}
     refused = {"replace": given["replace"], "dry_run": dry_run, "everything": dataset == EVERYTHING}
     part = opt.chosen_shard(given.pop("shard"), **refused)
     chosen = build_options(option=options, **given)

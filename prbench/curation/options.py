@@ -141,7 +141,6 @@ def build_options(
     replace: bool,
     corrections: Path | None,
     events_only: bool,
-    manifest: Path | None = None,
     **curation: Any,
 ) -> BuildOptions:
     """Make the options of a build from what a command line or a program says.
@@ -155,7 +154,6 @@ def build_options(
         replace: See :class:`BuildOptions`.
         corrections: File of corrections.
         events_only: List annotated events alone, without any stream.
-        manifest: The user's manifest of own recordings.
         curation: Fields of :class:`CurationOptions`; ``shift`` and ``scale`` map streams to texts or numbers.
 
     Raises:
@@ -169,8 +167,6 @@ def build_options(
     implied = {"meshes": "true"} if curation["in_hand"] == "surface" else {}
     if events_only:
         implied["events_only"] = "true"
-    if manifest is not None:
-        implied["manifest"] = str(manifest)
     return BuildOptions(
         curation=CurationOptions(**curation),
         recordings=recordings,

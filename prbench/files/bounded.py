@@ -18,7 +18,7 @@ import stat
 import tomllib
 import typing
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -34,7 +34,7 @@ from prbench.limits import (
     LONGEST_LINE,
 )
 
-Form = TypeVar("Form", bound=msgspec.Struct)
+Form = TypeVar("Form")
 _COPY_AGAIN = "The file may be damaged; copy or download it again."
 _TOO_LARGE = "This is another file, or a damaged one."
 _OF_THE_KERNEL = ("/proc/", "/sys/")
@@ -241,20 +241,28 @@ def read_toml(path: Path, expected: str = "a TOML file", remedy: str = "") -> di
         raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=remedy) from error
 
 
-def structured(path: Path, values: Mapping[str, Any], form: type[Form]) -> Form:
+def as_path(kind: type, value: Any) -> Any:
+    """Make a path of a text, for conversions to classes that have paths."""
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    raise NotImplementedError(f"values of the type {kind}")
+
+
+def structured(path: Path, values: Any, form: type[Form], *, remedy: str = "") -> Form:
     """Turn the content of a file into a data class.
 
     Args:
         path: The file, for messages.
         values: Its content.
         form: A class of msgspec, which may hold others.
+        remedy: What to do about it where no key is nearly right, for messages.
 
     Raises:
         InputFileError: for an unknown key (with the nearest known one), a missing key, or a value of another kind
             (with those that it may have, where they are a list).
     """
     try:
-        return msgspec.convert(values, form)
+        return msgspec.convert(values, form, dec_hook=as_path)
     except msgspec.ValidationError as error:
         said, _, place = str(error).partition(" - at `$.")
         kind: Any = form
@@ -265,7 +273,7 @@ def structured(path: Path, values: Mapping[str, Any], form: type[Form]) -> Form:
         choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
         known = getattr(kind, "__struct_fields__", choices)
         named = re.search(r"unknown field `(.+)`", said)
-        remedy = did_you_mean(named[1], known).strip() if named else ""
+        remedy = (named and did_you_mean(named[1], known).strip()) or remedy
         expected = f"what is known here: {', '.join(map(str, known))}" if known else "a value of the key's type"
         raise InputFileError(path, place.rstrip("`"), expected=expected, found=said, remedy=remedy) from error
 

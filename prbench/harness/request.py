@@ -15,7 +15,7 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_toml
+from prbench.files.bounded import foreign_input, read_toml, structured
 from prbench.files.storage import turn_into_paths
 from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL, short_name
 from prbench.object_stores.store import is_url
@@ -286,12 +286,7 @@ def read_experiment(path: Path) -> Experiment:
         InputFileError: if it cannot be read, or a key is unknown or of another type (naming the key).
     """
     remedy = "`prbench run --method static --show-config` prints an example."
-    content = read_toml(path, "an experiment's TOML file", remedy)
-    try:
-        experiment = msgspec.convert(content, Experiment)
-    except msgspec.ValidationError as error:
-        expected = "the keys of an experiment"
-        raise InputFileError(path, "", expected=expected, found=str(error), remedy=remedy) from error
+    experiment = structured(path, read_toml(path, "an experiment's TOML file", remedy), Experiment, remedy=remedy)
     known = find_benchmark(experiment.benchmark).conditions if experiment.benchmark in benchmarks() else ()
     named = [condition for method in experiment.methods for condition in method.conditions]
     strange = next((condition for condition in named if condition not in known), "")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import tomllib
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -338,9 +337,9 @@ def read_own_manifest(path: Path) -> Manifest:
             values[part] = {**shipped[part], **given}
     manifest = bounded.structured(path, {**shipped, **values}, Manifest)
     known = shipped["thresholds"]
-    for key in manifest.thresholds:
-        remedy = did_you_mean(key, known).strip()
-        require(path, (key in known, f"thresholds.{key}", f"one of {', '.join(known)}", "another one", remedy))
+    odd = next((key for key in manifest.thresholds if key not in known), "")
+    remedy = did_you_mean(odd, known).strip()
+    require(path, (not odd, "thresholds", f"keys among {', '.join(known)}", f"'{odd}'", remedy))
     return manifest
 
 
@@ -381,12 +380,8 @@ def read_toml(package: str, name: str, form: type[_Loaded]) -> _Loaded:
 
 @foreign_input()
 def _convert_toml(file: Traversable, form: type[_Loaded]) -> _Loaded:
-    try:
-        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
-        raise InputFileError(
-            str(file), "", expected=f"the fields of {getattr(form, '__name__', form)}", found=str(error)
-        ) from error
+    path = Path(str(file))
+    return bounded.structured(path, bounded.read_toml(path), form)
 
 
 _PACKAGE = "prbench_benchmarks"

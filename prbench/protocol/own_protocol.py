@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import tomli_w
 
-from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
+from prbench.errors import PrbenchError, TableError, UsageError
 from prbench.files.bounded import foreign_input, read_toml, require, structured
 from prbench.files.storage import write_text
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
@@ -50,14 +47,10 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
             prbench's; names the key.
     """
     values = read_toml(path, "a protocol's TOML file", _START)
-    # A default taken silently would not be one's own protocol.
-    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
-    given = {key for key, _ in _leaves(values)}
-    for key in sorted(given - wanted):
-        hint = did_you_mean(key, wanted)
-        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
-    require(path, *((False, key, "every key of the protocol", "no such key", _START) for key in sorted(wanted - given)))
-    protocol = structured(path, values, BenchmarkProtocol)
+    protocol = structured(path, values, BenchmarkProtocol, remedy=_START)
+    keys = [dict(_leaves(msgspec.to_builtins(each))).keys() for each in (protocol, load_protocol())]
+    odd = ", ".join(sorted(keys[0] ^ keys[1]))
+    require(path, (not odd, odd, "the keys of prbench's protocol", "a missing or an unknown one", _START))
     is_name = _NAME.fullmatch(protocol.name) is not None and protocol.name != PROTOCOL_NAME
     name = f"small letters, digits, '.', '_' and '-', and not '{PROTOCOL_NAME}', which is prbench's own"
     conditions = load_protocol().conditions
@@ -84,12 +77,6 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     ]
     require(path, *((*check, "") for check in checks))
     return protocol
-
-
-@cache
-def _default_values() -> dict[str, Any]:
-    file = resources.files("prbench_benchmarks.prime_and_reach") / "protocol.toml"
-    return tomllib.loads(file.read_text(encoding="utf-8"))
 
 
 def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

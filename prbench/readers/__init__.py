@@ -32,7 +32,7 @@ import msgspec
 
 from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
 from prbench.errors import PrbenchError, UsageError, did_you_mean
-from prbench.files.bounded import require
+from prbench.files.bounded import as_path, require
 from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import decode_json
@@ -72,7 +72,7 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
             known = ", ".join(form.names()) or "none"
             raise UsageError(f"the reader of {dataset} has no option '{name}'.{hint} Its options are: {known}.")
     try:
-        return msgspec.convert(dict(given), form, strict=False, dec_hook=_path)
+        return msgspec.convert(dict(given), form, strict=False, dec_hook=as_path)
     except msgspec.ValidationError as error:
         # Name the values that the blamed option may have, where they are a list.
         blamed = re.search(r"`\$\.(\w+)`", str(error))
@@ -94,12 +94,6 @@ def described_options(options: ReaderOptions) -> dict[str, str]:
             text = file_digest(value) if value.is_file() else value.name
         described[name] = text.lower() if isinstance(value, bool) else text
     return described
-
-
-def _path(kind: type, value: Any) -> Any:
-    if kind is Path:
-        return Path(value)
-    raise NotImplementedError(f"options of the type {kind}")
 
 
 SYNTHETIC_FILE = "synthetic.json"

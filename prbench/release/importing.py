@@ -186,7 +186,7 @@ def import_release(
 def _import_dataset(
     dataset: str, folder: Path, out: Path, options: reading.ImportOptions, progress: reading.Progress, command: str
 ) -> ImportReport:
-    manifest = load_manifest(dataset.removeprefix(layout.SYNTHETIC_PREFIX))
+    manifest = load_manifest(dataset)
     exported = layout.read_export_record(folder)
     report = ImportReport(dataset=dataset, folder=out)
     found = reading.read_release(report, folder, options, progress, command)

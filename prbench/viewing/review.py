@@ -36,7 +36,7 @@ from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.metrics import GazeRays
 from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import InHandRule, MetricConstants, load_manifest, load_protocol
-from prbench.readers import SYNTHETIC_PREFIX, reader_for
+from prbench.readers import reader_for
 from prbench.recording import SIDES, BodyStream, HandStream, ObjectTrack, PoseStream, Recording
 from prbench.sequences import DatasetInfo, Event, SequenceTable
 from prbench.sequences.dataset_info import notice, require_may_pass_on
@@ -149,10 +149,9 @@ def write_review(
     if not any(source for source, _ in work):
         expected = f"recordings of {data}, such as {events[0].recording_id}"
         raise InputFileError(root, "", expected=expected, found="others")
-    name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
     protocol = table.described_protocol.protocol() or load_protocol()
     said = info.options.get("in_hand_rule", "none")
-    rule = None if said == "none" else load_manifest(name).in_hand_rule(None if said == "default" else said)
+    rule = None if said == "none" else load_manifest(info.dataset).in_hand_rule(None if said == "default" else said)
     before = protocol.curation.priming_window + _BEFORE
     terms = notice(info, permitted)
     act = partial(event_motion, dataset=info.dataset, constants=protocol.metrics, terms=terms)
@@ -212,12 +211,11 @@ def native_recordings(
     def told(kind: str) -> dict[str, str]:
         return {key.removeprefix(kind): text for key, text in info.options.items() if key.startswith(kind)}
 
-    name = info.dataset.removeprefix(SYNTHETIC_PREFIX)
-    usual = reader_for(name).options
+    usual = reader_for(info.dataset).options
     reader = {key: text for key, text in told("reader.").items() if getattr(usual, key, None) is not None}
     reader |= dict(option or {})
     mends = (stream_numbers(told("shift."), "shift"), stream_numbers(told("scale."), "scale"))
-    sources = native_sources(name, root, BuildOptions(reader=(*reader.items(),)))
+    sources = native_sources(info.dataset, root, BuildOptions(reader=(*reader.items(),)))
     return {each.recording_id: each for each in sources}, mends
 
 

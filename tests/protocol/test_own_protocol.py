@@ -63,8 +63,8 @@ def test_a_file_with_every_key_is_read_and_written_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
-        ("lead = 2.0 ", "# ", r"curation\.lead: expected every key of the protocol, found no such key"),
-        ("lead = 2.0 ", "lead = 2.0\nleed = 2.0 ", r"curation\.leed: .*an unknown one\. Did you mean 'curation\.lead'"),
+        ("lead = 2.0 ", "# ", r"curation: .*found Object missing required field `lead`"),
+        ("lead = 2.0 ", "lead = 2.0\nleed = 2.0 ", r"curation: .*unknown field `leed`\. Did you mean 'lead'"),
         ("lead = 2.0 ", 'lead = "2" ', r"curation\.lead: expected a value of the key's type"),
         ("lead = 2.0 ", "lead = -2.0 ", r"curation\.lead: expected a finite number 0 or more, found -2"),
         ("lead = 2.0 ", "lead = nan ", r"curation\.lead: expected a finite number"),
@@ -74,7 +74,7 @@ def test_a_file_with_every_key_is_read_and_written_back(tmp_path: Path) -> None:
         ('"none", "text"', '"text", "none"', "conditions: expected the four conditions"),
         ('name = "mine"', 'name = "prime-and-reach"', "name: expected small letters"),
         ('name = "mine"', 'name = "../x"', "name: expected small letters"),
-        ('name = "mine"', "", "name: expected every key"),
+        ('name = "mine"', "", "name: expected small letters"),
         ("version = 4", "version = 0", "version: expected 1 or more"),
         ("[metrics]", "[metrics", "expected a TOML file"),
         (

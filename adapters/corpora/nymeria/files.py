@@ -5,16 +5,12 @@ Source: docs/specification/nymeria.md#narrations.
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from pathlib import Path
 
-from prbench.errors import InputFileError
-from prbench.files.bounded import read_text, require
-from prbench.limits import HARMLESS_SIZE
+from prbench.files.bounded import require
 from prbench.readers import SYNTHETIC_PREFIX, RecordingFiles, require_marked, synthetic_tree_around
-from prbench.readers.files import require_column_names
+from prbench.readers.files import read_lines, require_column_names
 from prbench.readers.found import input_file
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.format import Narration
@@ -97,14 +93,9 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
         InputFileError: if a time column or every answer column is missing, a time is no number, a line is cut, or the
             times are milliseconds.
     """
-    try:
-        rows = list(csv.reader(io.StringIO(read_text(path, largest=HARMLESS_SIZE))))
-    except csv.Error as error:
-        raise InputFileError(path, "", expected="comma-separated text in UTF-8", found=str(error)) from error
-    rows = [(number, row) for number, row in enumerate(rows, start=1) if any(cell.strip() for cell in row)]
-    if not rows:
+    header, rows = read_lines(path, (), "")
+    if not header:
         return ()
-    header = [name.strip() for name in rows[0][1]]
     lower = [name.lower() for name in header]
     require_column_names(path, lower, (nymeria.START_COLUMN, nymeria.END_COLUMN))
     # Answers are known by the name that follows "Describe my".
@@ -117,7 +108,7 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
     remedy = "This is another file, or another version of the format."
     require(path, (answers, "header", "a column whose name begins with 'Describe my'", found, remedy))
     narrations = []
-    for number, row in rows[1:]:
+    for number, row in rows:
         remedy = "The file may be truncated; download it again."
         require(path, (len(row) >= len(header), f"row {number}", f"{len(header)} cells", len(row), remedy))
         cells = dict(zip(lower, row, strict=False))

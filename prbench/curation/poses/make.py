@@ -15,13 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 
 from prbench.curation.poses.states import PoseState, coverage, head_poses, prepare, source_trajectory
 from prbench.errors import InputFileError, PrbenchError, StorageError, UsageError
-from prbench.files.bounded import copy_file, foreign_input, read_end, read_toml, require
+from prbench.files.bounded import copy_file, foreign_input, read_end, read_toml, require, structured
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.progress_bar import ProgressCallback
 from prbench.readers.egoallo import format as ego
@@ -67,6 +67,10 @@ class PosesConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return [_PLACEHOLDER.sub(lambda match: filled[match[1]], text) for text in self.command]
 
 
+class _ConfigFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    egoallo: PosesConfig
+
+
 @foreign_input()
 def read_config(path: Path) -> PosesConfig:
     """Read a config file; relative paths in it are relative to its folder.
@@ -75,14 +79,10 @@ def read_config(path: Path) -> PosesConfig:
         InputFileError: if it is missing, no TOML, lacks a key or holds an unknown one, or its command has an unknown
             placeholder.
     """
-    expected = "a table [egoallo] with python and folder, and optionally command, model, needs, timeout_minutes and"
-    expected += " environment"
+    expected = "a table [egoallo] with python and folder"
     remedy = "`prbench poses egoallo --root DIR` without --config prints one to start from."
     content = read_toml(path, expected, remedy)
-    try:
-        config = msgspec.convert(content, dict[Literal["egoallo"], PosesConfig], dec_hook=_path)["egoallo"]
-    except (KeyError, msgspec.ValidationError) as error:
-        raise InputFileError(path, "", expected=expected, found=str(error), remedy=remedy) from error
+    config = structured(path, content, _ConfigFile, remedy=remedy).egoallo
     unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
     expected = f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}"
     require(path, (not unknown, "egoallo.command", expected, f"{{{''.join(unknown[:1])}}}", ""))
@@ -92,12 +92,6 @@ def read_config(path: Path) -> PosesConfig:
     looks_like_path = "/" in config.python or "\\" in config.python
     python = str(base / Path(config.python).expanduser()) if looks_like_path else config.python
     return msgspec.structs.replace(config, python=python, folder=base / config.folder.expanduser(), model=model)
-
-
-def _path(kind: type, value: object) -> object:
-    if kind is Path and isinstance(value, str):
-        return Path(value)
-    raise NotImplementedError(f"values of the type {kind}")
 
 
 def instructions(root: Path, lacking: Sequence[PoseState]) -> str:

@@ -22,7 +22,7 @@ from prbench.files.storage import atomic_path
 from prbench.geometry.timelines import nearest_index
 from prbench.limits import LARGEST_FILE
 from prbench.protocol.manifests import load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
+from prbench.readers import AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import read_size_and_camera, read_trajectory
 from prbench.readers.aria_mps.format import AriaTrajectory
@@ -236,7 +236,7 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None) -> P
     outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
     target = outputs[0].parent if outputs else poses_folder(root, found.recording_id, poses_root)
     # Synthetic recordings imitate a dataset and share its manifest.
-    manifest = load_manifest(found.dataset.removeprefix(SYNTHETIC_PREFIX))
+    manifest = load_manifest(found.dataset)
     # Making a body for a recording that every build skips would waste GPU hours.
     if bad := found.skip_reason or manifest.why_bad(found.recording_id):
         return PoseState(found, "skipped", bad, target, None)

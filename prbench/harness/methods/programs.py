@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_toml, require
+from prbench.files.bounded import foreign_input, read_toml, require, structured
 from prbench.harness.methods import installed, process
 
 
@@ -121,14 +121,7 @@ def read_description(path: Path) -> MethodDescription:
     beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
     remedy = "" if path.exists() else did_you_mean(path.name, beside).strip()
     content = read_toml(path, "a TOML file that describes a method", remedy)
-    try:
-        description = msgspec.convert(content, MethodDescription)
-    except msgspec.ValidationError as error:
-        reason, _, place = str(error).partition(" - at `$.")
-        where = place.rstrip("`") or "[method]"
-        raise InputFileError(
-            path, where, expected="what docs/environments.md describes", found=reason[:1].lower() + reason[1:]
-        ) from error
+    description = structured(path, content, MethodDescription, remedy="docs/environments.md describes the file.")
     # Keys that are right by themselves may not fit the others.
     environment = description.environment
     name = description.method.name

@@ -8,8 +8,9 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import Manifest, load_manifest, read_own_manifest
 from prbench.readers import ReaderOptions
+from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.own.files import extents, find_recordings, read_readings
+from prbench.readers.own.files import find_recordings, read_readings
 from prbench.readers.own.to_recording import recording_from_tables
 from prbench.recording import Recording
 
@@ -30,7 +31,6 @@ class OwnReader:
 
     dataset: str = "own"
     options: OwnOptions = OwnOptions()  # noqa: RUF009 (frozen)
-    extents = staticmethod(extents)
 
     @property
     def manifest(self) -> Manifest:
@@ -46,9 +46,14 @@ class OwnReader:
     @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
-        manifest = self.manifest
-        found.require_usable(manifest.why_bad(found.recording_id))
-        return recording_from_tables(read_readings(found), manifest, found)
+        return recording_from_tables(read_readings(found), self.manifest, found)
+
+    def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG002
+        """See :class:`prbench.readers.KnowsEnds`; objects and hands may be out of sight."""
+        lasting = {} if recording is None else {name: getattr(recording, name) for name in ("head", "gaze", "body")}
+        ends = {name: stream.times[[0, -1]] for name, stream in lasting.items() if stream and len(stream.times)}
+        late = {"may_start_late": True, "slack": SEVERAL_SENSORS}
+        return tuple(Extent(name, "its table", *map(float, times), **late) for name, times in ends.items())
 
 
 READER = OwnReader()

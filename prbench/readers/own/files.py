@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError, did_you_mean
 from prbench.files.arrays import open_parquet
 from prbench.files.bounded import read_toml, require, require_rows, structured
 from prbench.readers import read_synthetic_tree
-from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.files import read_columns, read_header, read_lines
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.own import format as own
-from prbench.recording import Recording
 
 _PAGE = "docs/own-recordings.md lists tables and columns."
 _LENGTH_TOLERANCE = 0.01
@@ -33,7 +34,7 @@ class Table:
     """The known columns of one table, one value a row.
 
     Attributes:
-        columns: Numbers (NaN: nothing measured) or texts, by the column's name.
+        columns: Numbers or texts, by the column's name; NaN in joints and boxes that are not known.
     """
 
     path: Path
@@ -42,18 +43,6 @@ class Table:
     def vectors(self, names: Sequence[str]) -> Float[np.ndarray, "n k"]:
         """Return some columns of numbers side by side."""
         return np.column_stack([self.columns[name] for name in names])
-
-    def measured(self, names: Sequence[str]) -> Bool[np.ndarray, " n"]:
-        """Return the rows that hold all of some numbers."""
-        return ~np.isnan(self.vectors(names)).any(axis=1)
-
-    def refuse(
-        self, bad: Bool[np.ndarray, " n"], column: str, expected: str, found: Callable[[int], object], remedy: str = ""
-    ) -> None:
-        """Refuse the table at its first bad row, naming it; ``found`` gets its index."""
-        place, first = _numbering(self.path)
-        told = {"place": place, "first": first, "column": column, "remedy": remedy}
-        require_rows(self.path, bad, expected, lambda row: str(found(row)), **told)
 
 
 @dataclass(frozen=True)
@@ -94,9 +83,9 @@ def find_recordings(root: Path | str, dataset: str) -> tuple[RecordingFiles, ...
     names = (own.ABOUT_FILE, *(f"{table}{suffix}" for table in own.TABLES for suffix in own.SUFFIXES))
     found = []
     for folder in folders:
-        files = tuple(input_file(name, folder / name) for name in names if is_present(folder / name))
-        found.append(RecordingFiles(dataset, folder.name, folder, files, split=split.get(folder.name)))
-    return tuple(recording for recording in found if recording.files)
+        if files := tuple(input_file(name, folder / name) for name in names if is_present(folder / name)):
+            found.append(RecordingFiles(dataset, folder.name, folder, files, split=split.get(folder.name)))
+    return tuple(found)
 
 
 def read_about(found: RecordingFiles) -> own.About:
@@ -106,17 +95,7 @@ def read_about(found: RecordingFiles) -> own.About:
         InputFileError: if it is missing, or a key is missing, unknown or has another value.
     """
     path = found.require(own.ABOUT_FILE, own.ABOUT_FILE)
-    about = structured(path, read_toml(path, "a recording's TOML file", _PAGE), own.About)
-    head = about.head
-    turned = f"'{head.forward}' and '{head.up}'"
-    skeleton = about.body.skeleton
-    near = did_you_mean(skeleton, own.SKELETONS).strip()
-    require(
-        path,
-        (head.forward[-1] != head.up[-1], "head", "two axes at a right angle", turned, ""),
-        (skeleton in own.SKELETONS, "body.skeleton", f"one of {', '.join(own.SKELETONS)}", f"'{skeleton}'", near),
-    )
-    return about
+    return structured(path, read_toml(path, "a recording's TOML file", _PAGE), own.About, remedy=_PAGE)
 
 
 def read_readings(found: RecordingFiles) -> Readings:
@@ -143,10 +122,10 @@ def _numbering(path: Path) -> tuple[str, int]:
 
 def _known_columns(path: Path, name: str, about: own.About) -> tuple[str, ...]:
     """Return the known columns of a table; refuse one that lacks some, or contradicts what is stated."""
-    columns = own.columns_of(name, about)
+    required, *optional = own.columns_of(name, about)
     header = read_header(path) if path.suffix == ".csv" else list(_read_parquet(path, {}))
-    begun = [group for group in columns.optional if any(column in header for column in group)]
-    wanted = (*columns.required, *(column for group in begun for column in group))
+    begun = [group for group in optional if any(column in header for column in group)]
+    wanted = (*required, *(column for group in begun for column in group))
     skeleton = f" (skeleton '{about.body.skeleton}')" if name == "body" else ""
     found = f"the columns {', '.join(header)}"
     for column in wanted:
@@ -200,51 +179,34 @@ def _read_events(path: Path, about: own.About) -> dict[str, dict[str, str]]:
 
 
 def _read_table(path: Path, name: str, about: own.About) -> Table:
-    """Read one table; refuse it for whatever one table alone can tell."""
+    """Read the rows of one table in which something was measured; refuse it for whatever one table alone can tell."""
     cells = _cells(path, _known_columns(path, name, about))
-    table = Table(path, cells)
-    # What belongs together is there whole or not at all; joints may be missing one by one.
-    columns = own.columns_of(name, about)
-    for group in (columns.required, *columns.optional):
-        numbers = [column for column in group if column in cells and column not in {"time", *own.TEXTS}]
-        if numbers:
-            values = table.vectors(numbers)
-            empty = np.isnan(values)
-            odd = np.isinf(values).any(axis=1) | (empty.any(axis=1) & ~empty.all(axis=1) & (name != "body"))
-            expected = f"finite numbers in {', '.join(numbers[:7])}"
-            table.refuse(odd, "", expected, values.__getitem__, _EMPTY)
+    place, first = _numbering(path)
+    refuse = partial(require_rows, path, place=place, first=first)
+    numbers = [column for column in cells if column not in {"time", *own.TEXTS}]
+    values = np.column_stack([np.zeros((len(next(iter(cells.values()))), 0)), *(cells[column] for column in numbers)])
+    empty = np.isnan(values)
+    # A row is there whole or not at all; joints may be missing one by one.
+    odd = np.isinf(values).any(axis=1) | (empty.any(axis=1) & ~empty.all(axis=1) & (name != "body"))
+    expected = f"finite numbers in {', '.join(numbers[:7])}"
+    refuse(odd, expected, lambda row: str(values[row, :7]), remedy=_EMPTY)
     for names, remedy in ((own.QUATERNION, ""), (own.GAZE, _DIRECTION)):
         if set(names) <= set(cells):
-            length = np.linalg.norm(table.vectors(names), axis=1)
+            length = np.linalg.norm(np.stack([cells[column] for column in names]), axis=0)
             wrong = np.abs(length - 1) > _LENGTH_TOLERANCE
-            table.refuse(wrong, "", f"a length of 1 of {', '.join(names)}", length.round(4).__getitem__, remedy)
+            refuse(
+                wrong, f"a length of 1 of {', '.join(names)}", length.round(4).astype(str).__getitem__, remedy=remedy
+            )
     for column, allowed in own.WORDS.items():
-        if column in cells:
-            bad = np.array([text.lower() not in allowed for text in cells[column]], dtype=bool)
-            table.refuse(bad, column, f"one of {', '.join(allowed)}", cells[column].__getitem__)
-    ids = cells.get("object_id", np.zeros(0, dtype=str))
-    nameless = np.array([text.strip() == "" or "/" in text for text in ids], dtype=bool)
-    table.refuse(nameless, "object_id", "a name without '/'", ids.__getitem__)
+        texts = np.array(cells.get(column, []), dtype=object)
+        bad = np.array([not re.fullmatch(allowed, text, re.IGNORECASE) for text in texts], dtype=bool)
+        refuse(bad, f"a text of the form {allowed}", texts.__getitem__, column=column)
     if "time" in cells:
         # Each object and each hand has a clock of its own, whatever the order of the rows.
         times = cells["time"]
-        table.refuse(~np.isfinite(times), "time", "a time", times.__getitem__)
-        ids = cells.get("object_id", cells.get("side", np.zeros(len(times)))).astype(str)
-        order = np.argsort(ids, kind="stable")
-        before = np.full(len(times), -np.inf)
-        same = ids[order][1:] == ids[order][:-1]
-        before[order[1:][same]] = times[order[:-1][same]]
-        backwards = times <= before
-        table.refuse(backwards, "time", "a time after the one before", np.stack([times, before], 1).__getitem__, _SORT)
-    return table
-
-
-def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
-    """Return the streams of one recording that last as long as it does; objects and hands may be out of sight."""
-    about = read_about(found)
-    ends = []
-    for path in (file.path for file in found.files if file.path.stem in ("head", "gaze", "body")):
-        times = _cells(path, ["time"])["time"] * about.seconds
-        first, last = (float(times[0]), float(times[-1])) if len(times) else (None, None)
-        ends.append(Extent(path.stem, path.name, first, last, may_start_late=True, slack=SEVERAL_SENSORS))
-    return tuple(ends)
+        clock = cells.get("object_id", cells.get("side", np.zeros(len(times))))
+        before = pd.Series(times).groupby(clock).shift(fill_value=-np.inf).to_numpy()
+        found = lambda row: f"{times[row]} after {before[row]}"  # noqa: E731 - two columns
+        refuse(~(times > before), "times that increase", found, column="time", remedy=_SORT)
+    measured = ~empty.all(axis=1) | (len(numbers) == 0) | (name == "objects")
+    return Table(path, {column: values[measured] for column, values in cells.items()})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Literal
 
@@ -11,6 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
+from prbench.errors import did_you_mean
 from prbench.representation.converters import JOINT_MAPS, JointMap, to_y_up
 
 ABOUT_FILE = "recording.toml"
@@ -57,6 +57,10 @@ class HeadAxes(_Part, kw_only=True):
     forward: Axis = "z"
     up: Axis = "y"
 
+    def __post_init__(self) -> None:
+        if self.forward[-1] == self.up[-1]:
+            raise ValueError(f"forward '{self.forward}' and up '{self.up}' stand at no right angle")
+
 
 class GazeFrame(_Part, kw_only=True):
     """The frame of gaze: the world, or the axes of the head's pose."""
@@ -76,6 +80,11 @@ class Body(_Part, kw_only=True):
 
     skeleton: str = "smpl22"
     source: Annotated[str, msgspec.Meta(pattern="^[a-z0-9-]*$")] = ""  # becomes a part of the names of sequences
+
+    def __post_init__(self) -> None:
+        if self.skeleton not in SKELETONS:
+            near = did_you_mean(self.skeleton, SKELETONS)
+            raise ValueError(f"no skeleton '{self.skeleton}'.{near} Known ones: {', '.join(SKELETONS)}")
 
 
 class About(_Part, kw_only=True):
@@ -138,29 +147,20 @@ TEXTS = frozenset({"side", "object_id", "name", "category", "movable", "action",
 
 GAZE = ("dx", "dy", "dz")
 ORIGIN = ("ox", "oy", "oz")
+# Forms of texts; empty ones state nothing. Ids become parts of names that slashes separate.
+WORDS = MappingProxyType({"side": "left|right", "movable": "true|false|yes|no|1|0|", "object_id": "[^/]*[^/ ][^/]*"})
 
-
-@dataclass(frozen=True)
-class Columns:
-    """The columns of one table: those that it must have, and groups that are there together or not at all."""
-
-    required: tuple[str, ...]
-    optional: tuple[tuple[str, ...], ...] = ()
-
-
-# Words that a column of text may hold; the empty one where nothing is stated.
-WORDS = MappingProxyType({"side": ("left", "right"), "movable": ("true", "false", "yes", "no", "1", "0", "")})
-
-# The body's columns are named after the joints of its skeleton: ``<joint>_x``.
-TABLES: Mapping[str, Columns] = MappingProxyType(
+# Columns of each table: those that it must have, and groups that are there together or not at all. The body's are
+# named after the joints of its skeleton: ``<joint>_x``.
+TABLES: Mapping[str, tuple[tuple[str, ...], ...]] = MappingProxyType(
     {
-        "head": Columns(("time", *POINT, *QUATERNION)),
-        "gaze": Columns(("time", *GAZE), (ORIGIN,)),
-        "wrists": Columns(("time", "side", *POINT), (QUATERNION,)),
-        "body": Columns(("time",)),
-        "objects": Columns(("object_id", "name"), (("category",), ("movable",), BOX)),
-        "object_poses": Columns(("time", "object_id", *POINT), (QUATERNION,)),
-        "events": Columns(("action", "object"), (("time",), ("frame",), POINT, BOX, ("hand",))),
+        "head": (("time", *POINT, *QUATERNION),),
+        "gaze": (("time", *GAZE), ORIGIN),
+        "wrists": (("time", "side", *POINT), QUATERNION),
+        "body": (("time",),),
+        "objects": (("object_id", "name"), ("category",), ("movable",), BOX),
+        "object_poses": (("time", "object_id", *POINT), QUATERNION),
+        "events": (("action", "object"), ("time",), ("frame",), POINT, BOX, ("hand",)),
     }
 )
 
@@ -170,7 +170,6 @@ def body_columns(about: About) -> tuple[str, ...]:
     return tuple(f"{joint}_{axis}" for joint in SKELETONS[about.body.skeleton].source_joints for axis in POINT)
 
 
-def columns_of(table: str, about: About) -> Columns:
-    """Return the columns of one table of a recording."""
-    joints = body_columns(about) if table == "body" else ()
-    return Columns((*TABLES[table].required, *joints), TABLES[table].optional)
+def columns_of(table: str, about: About) -> tuple[tuple[str, ...], ...]:
+    """Return the columns of one table of a recording, grouped as in :data:`TABLES`."""
+    return TABLES[table] if table != "body" else (("time", *body_columns(about)),)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench import recording as streams
-from prbench.errors import InputFileError, did_you_mean
+from prbench.errors import did_you_mean
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import require
 from prbench.geometry.timelines import covered, require_overlap, stream_ranges
@@ -20,7 +21,7 @@ from prbench.readers.files import read_entries
 from prbench.readers.found import RecordingFiles
 from prbench.readers.own import format as own
 from prbench.readers.own.files import Readings, Table
-from prbench.representation.converters import check_sides
+from prbench.representation.converters import front_of_legs
 
 _Poses = tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"], Bool[np.ndarray, " n"]]
 _Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
@@ -43,72 +44,52 @@ def recording_from_tables(readings: Readings, manifest: Manifest, found: Recordi
     """
     about = readings.about
     tables = readings.tables
-    head = streams.NO_POSES
-    gaze = streams.NO_GAZE
-    body = None
-    hands: tuple[streams.HandStream, ...] = ()
-    messages = []
-    if "head" in tables:
-        times, position, rotation, valid = _poses(about, tables["head"])
-        facing = Rotation.from_quat(rotation, scalar_first=True) * Rotation.from_matrix(about.head_from_cpf)
-        head = streams.PoseStream(times, position, facing.as_quat(scalar_first=True), valid)
-    if "gaze" in tables:
-        gaze = _gaze(about, tables["gaze"], head, manifest.thresholds["longest_head_gap"])
-        if lost := int((tables["gaze"].measured(own.GAZE) & ~gaze.valid).sum()):
-            messages.append(f"gaze: {lost} of {len(gaze.times)} samples have no origin, or no pose of the head nearby")
-    if "body" in tables:
-        body = _body(about, tables["body"])
-        hands = body.wrists()
-        if lost := int((~body.valid).sum()):
-            messages.append(f"body: {lost} of {len(body.times)} frames lack joints or change their bones: left out")
+    head = _head(about, tables["head"]) if "head" in tables else streams.NO_POSES
+    longest = manifest.thresholds["longest_head_gap"]
+    gaze = _gaze(about, tables["gaze"], head, longest) if "gaze" in tables else streams.NO_GAZE
+    body = _body(about, tables["body"]) if "body" in tables else None
+    hands = () if body is None else body.wrists()
     if "wrists" in tables:
-        wrists = tables["wrists"]
-        hands = tuple(_wrist(about, wrists, side) for side in streams.SIDES)
+        hands = tuple(_wrist(about, tables["wrists"], side) for side in streams.SIDES)
     objects = _objects(about, tables)
     moving = {f"object {track.object_id}": track.times for track in objects if len(track.times) > 1}
-    if not readings.events and not (moving and hands):
-        messages.append(_NO_EVENTS)
+    lost = {"gaze samples have no pose of the head nearby": ~gaze.valid}
+    lost["body frames lack joints, change their bones, or jump"] = np.zeros(0) if body is None else ~body.valid
+    messages = [f"{rows.sum():.0f} {text}" for text, rows in lost.items() if rows.any()]
+    messages += [] if readings.events or (moving and hands) else [_NO_EVENTS]
     # Objects and hands may be out of sight for long; the other streams last as long as the recording.
     lasting = stream_ranges({"head": head.times, "gaze": gaze.times, "body": None if body is None else body.times})
     if lasting:
         require_overlap(lasting, recording=found.recording_id)
     ranges = lasting | stream_ranges({**moving, **{f"{hand.side} wrist": hand.times for hand in hands}})
-    starts, ends = zip(*ranges.values()) if ranges else ((-np.inf,), (np.inf,))
+    ends = [time for pair in ranges.values() for time in pair]
+    span = (min(ends, default=0.0), max(ends, default=0.0))
+    source = "none" if body is None else about.body.source or manifest.body.pose_source
+    about_it = (found.dataset, found.recording_id, about.participant, source, manifest.body.head_tilt_deg)
+    known = streams.Recording(*about_it, span, gaze, streams.NO_POSES, head, body, hands, objects)
+    events, unreadable = _events(readings, known, manifest.thresholds)
+    ends = ends or [event.event_time for event in events] or [0.0]
+    told = {"messages": tuple(messages), "annotated_events": tuple(events), "unreadable": tuple(unreadable)}
     world_from_source = np.eye(4)
     world_from_source[:3, :3] = about.turn * about.metres
-    known = streams.Recording(
-        dataset=found.dataset,
-        recording_id=found.recording_id,
-        participant_id=about.participant,
-        pose_source="none" if body is None else about.body.source or manifest.body.pose_source,
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        span=(min(starts), max(ends)) if ranges else (0.0, 0.0),
-        gaze=gaze,
-        camera=streams.NO_POSES,
-        head=head,
-        body=body,
-        hands=hands,
-        objects=objects,
-        world_from_source=world_from_source,
-        messages=tuple(messages),
-    )
-    events, unreadable = _events(readings, known, (min(starts), max(ends)), manifest.thresholds)
-    times = [event.event_time for event in events]
-    span = known.span if ranges or not times else (min(times), max(times))
-    return replace(known, span=span, annotated_events=tuple(events), unreadable=tuple(unreadable))
+    return replace(known, span=(min(ends), max(ends)), world_from_source=world_from_source, **told)
 
 
 def _poses(about: own.About, table: Table, rows: Int[np.ndarray, " n"] | slice = slice(None)) -> _Poses:
     """Return times, positions, rotations and validity of some rows of a table of poses."""
-    valid = table.measured(own.POINT)[rows]
-    rotation = np.tile([1.0, 0.0, 0.0, 0.0], (len(valid), 1))
+    times = table.columns["time"][rows] * about.seconds
+    matrices = np.broadcast_to(about.turn @ about.mirror, (len(times), 3, 3))
     if own.QUATERNION[0] in table.columns:
-        valid &= table.measured(own.QUATERNION)[rows]
-        rotation[valid] = table.vectors(own.QUATERNION)[rows][valid]
-    matrices = about.turn @ Rotation.from_quat(rotation, scalar_first=True).as_matrix() @ about.mirror
-    position = streams.hold_neighbours(about.points(table.vectors(own.POINT)[rows]), valid)
+        stated = Rotation.from_quat(table.vectors(own.QUATERNION)[rows], scalar_first=True)
+        matrices = about.turn @ stated.as_matrix() @ about.mirror
     turned = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
-    return table.columns["time"][rows] * about.seconds, position, turned, valid
+    return times, about.points(table.vectors(own.POINT)[rows]), turned, np.ones(len(times), dtype=bool)
+
+
+def _head(about: own.About, table: Table) -> streams.PoseStream:
+    times, position, rotation, valid = _poses(about, table)
+    facing = Rotation.from_quat(rotation, scalar_first=True) * Rotation.from_matrix(about.head_from_cpf)
+    return streams.PoseStream(times, position, facing.as_quat(scalar_first=True), valid)
 
 
 def _gaze(about: own.About, table: Table, head: streams.PoseStream, longest: float) -> streams.GazeStream:
@@ -118,22 +99,17 @@ def _gaze(about: own.About, table: Table, head: streams.PoseStream, longest: flo
     has_origin = own.ORIGIN[0] in table.columns
     needs = "a head table beside it, because gaze.frame is 'head'" if in_head else "ox, oy, oz, or a head table"
     require(table.path, (len(head.times) or (has_origin and not in_head), "", needs, "none", "Add the head's poses."))
-    valid = table.measured(own.GAZE)
-    direction = np.where(valid[:, None], table.vectors(own.GAZE), [0.0, 0.0, 1.0])
-    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    offset = np.zeros((len(times), 3))
-    if has_origin:
-        valid &= table.measured(own.ORIGIN)
-        offset = np.nan_to_num(table.vectors(own.ORIGIN))
-    if in_head or not has_origin:
-        position, rotation = head.pose_at(times)
-        valid &= covered(head.times, head.valid, times, max_gap=longest)
-        facing = Rotation.from_quat(rotation, scalar_first=True) * Rotation.from_matrix(about.head_from_cpf.T)
-        origin = position + facing.apply(offset @ about.mirror) * about.metres
-    else:
-        origin = about.points(offset)
+    stated = table.vectors(own.GAZE)
+    direction = stated / np.linalg.norm(stated, axis=1, keepdims=True)
+    offset = table.vectors(own.ORIGIN) if has_origin else np.zeros((len(times), 3))
+    if has_origin and not in_head:
+        valid = np.ones(len(times), dtype=bool)
+        return streams.GazeStream(times, about.points(offset), direction @ about.turn.T, valid)
+    position, rotation = head.pose_at(times)
+    facing = Rotation.from_quat(rotation, scalar_first=True) * Rotation.from_matrix(about.head_from_cpf.T)
+    origin = position + facing.apply(offset @ about.mirror) * about.metres
     direction = facing.apply(direction @ about.mirror) if in_head else direction @ about.turn.T
-    return streams.GazeStream(times, streams.hold_neighbours(origin, valid), direction, valid)
+    return streams.GazeStream(times, origin, direction, covered(head.times, head.valid, times, max_gap=longest))
 
 
 def _body(about: own.About, table: Table) -> streams.BodyStream:
@@ -141,52 +117,47 @@ def _body(about: own.About, table: Table) -> streams.BodyStream:
     native = about.points(table.vectors(own.body_columns(about)).reshape(len(times), -1, 3))
     joints = own.SKELETONS[about.body.skeleton].to_22(native, source=table.path)
     valid = streams.plausible_body_frames(times, joints)
-    try:
-        check_sides(joints[valid][:: max(1, int(valid.sum()) // 1000)], source=table.path)
-    except InputFileError as error:
-        remedy = (
-            f"Of a left-handed world (Unity, Unreal) {own.ABOUT_FILE} says axes.handed = 'left'. Else left and right"
-        )
-        about_it = {"expected": error.expected, "found": error.found, "remedy": f"{remedy} joints are exchanged."}
-        raise InputFileError(table.path, error.where, **about_it) from error
+    # A mean cosine below -0.3 between the front of the legs and that of the hips is no twist of a whole recording.
+    front = front_of_legs(joints[valid]) if valid.any() else None
+    remedy = "Left and right joints are exchanged, or the world is left-handed: axes.handed = 'left' (Unity, Unreal)."
+    ahead = "feet and knees that point to the body's front"
+    require(table.path, (front is None or front > -0.3, "", ahead, "those of a mirrored body", remedy))
     return streams.BodyStream(times, streams.hold_neighbours(joints, valid), valid)
 
 
 def _wrist(about: own.About, table: Table, side: streams.Side) -> streams.HandStream:
     rows = np.array([text.lower() == side for text in table.columns["side"]], dtype=bool)
-    valid = table.measured(own.POINT)[rows]
-    points = streams.hold_neighbours(about.points(table.vectors(own.POINT)[rows]), valid)
-    return streams.HandStream(side, "wrist", table.columns["time"][rows] * about.seconds, points[:, None], valid)
+    times = table.columns["time"][rows] * about.seconds
+    points = about.points(table.vectors(own.POINT)[rows])
+    return streams.HandStream(side, "wrist", times, points[:, None], np.ones(len(times), dtype=bool))
 
 
 def _objects(about: own.About, tables: Mapping[str, Table]) -> tuple[streams.ObjectTrack, ...]:
     """Return a track of each object of which poses are known."""
-    poses = tables.get("object_poses")
-    if poses is None:
+    if "object_poses" not in tables:
         return ()
+    poses = tables["object_poses"]
     ids = poses.columns["object_id"].astype(str)
-    listed = tables.get("objects")
-    if listed is None:
-        rows_of = {name: {} for name in np.unique(ids).tolist()}
-    else:
+    known: dict[str, Mapping[str, Any]] = {name: {} for name in np.unique(ids).tolist()}
+    if "objects" in tables:
+        listed = tables["objects"]
         names = listed.columns["object_id"].astype(str).tolist()
         twice = first_repeated(names)
+        strange = next((name for name in known if name not in names), "")
+        near = did_you_mean(strange, names).strip()
         require(listed.path, (twice is None, "column 'object_id'", "each object once", f"'{twice}' twice", ""))
-        strange = ~np.isin(ids, names)
-        remedy = did_you_mean(ids[strange.argmax()], names).strip() if strange.any() else ""
-        poses.refuse(strange, "object_id", "an object of the objects table", ids.__getitem__, remedy)
-        rows_of = {name: {key: each[row] for key, each in listed.columns.items()} for row, name in enumerate(names)}
-    order = np.argsort(ids, kind="stable")
+        require(poses.path, (not strange, "column 'object_id'", f"ids of {listed.path.name}", f"'{strange}'", near))
+        known = {name: {key: each[row] for key, each in listed.columns.items()} for row, name in enumerate(names)}
     tracks = []
-    for name, row in rows_of.items():
-        rows = order[np.searchsorted(ids[order], name) : np.searchsorted(ids[order], name, side="right")]
-        if not len(rows):
-            continue  # only its name is known
-        low, high = _corners(np.nan_to_num([row.get(column, 0.0) for column in own.BOX]), about.mirror * about.metres)
-        stated = str(row.get("movable", "")).lower()
-        names = (name, str(row.get("name") or name), str(row.get("category", "")))
-        can_move = stated in _TRUE if stated else len(rows) > 1
-        tracks.append(streams.ObjectTrack(*names, *_poses(about, poses, rows), low, high, can_move))
+    for name, row in known.items():
+        rows = np.flatnonzero(ids == name)
+        if len(rows):  # of others only the name is known
+            box = np.nan_to_num([row.get(column, 0.0) for column in own.BOX])
+            stated = str(row.get("movable", "")).lower()
+            can_move = stated in _TRUE if stated else len(rows) > 1
+            names = (name, str(row.get("name") or name), str(row.get("category", "")))
+            corners = _corners(box, about.mirror * about.metres)
+            tracks.append(streams.ObjectTrack(*names, *_poses(about, poses, rows), *corners, can_move))
     return tuple(tracks)
 
 
@@ -197,68 +168,60 @@ def _corners(box: Float[np.ndarray, "6"], turn: Float[np.ndarray, "3 3"]) -> _Bo
 
 
 def _events(
-    readings: Readings, recording: streams.Recording, span: tuple[float, float], thresholds: Mapping[str, float]
+    readings: Readings, recording: streams.Recording, thresholds: Mapping[str, float]
 ) -> tuple[list[streams.AnnotatedEvent], list[streams.UnreadableEntry]]:
     """Return the events that are listed, and the rows that cannot be read."""
     about = readings.about
     path = readings.events_file
+    video = about.video or own.Video(start=np.nan, fps=1.0)
     names = {track.object_id: track.name for track in recording.objects}
     if "objects" in readings.tables:
         listed = readings.tables["objects"].columns
         names |= {key: name or key for key, name in zip(listed["object_id"].tolist(), listed["name"].tolist())}
-    first = span[0] - SEVERAL_SENSORS
-    last = span[1] + SEVERAL_SENSORS
-
-    def numbers(row: Mapping[str, str], *columns: str) -> Float[np.ndarray, " k"] | None:
-        texts = [row.get(column, "") for column in columns]
-        if all(text in ("", "nan") for text in texts):
-            return None
-        values = np.array([float(text) for text in texts])
-        require(path, (np.isfinite(values).all(), "", f"numbers in {', '.join(columns)}", ", ".join(texts), ""))
-        return values
+    first, last = (
+        np.add(recording.span, (-SEVERAL_SENSORS, SEVERAL_SENSORS)) if np.ptp(recording.span) else (-np.inf, np.inf)
+    )
 
     def read_event(entry: tuple[str, Mapping[str, str]]) -> streams.AnnotatedEvent:
         key, row = entry
+
+        def numbers(*columns: str) -> Float[np.ndarray, " k"]:
+            values = np.array([float(row.get(column) or "nan") for column in columns])
+            complete = np.isfinite(values).all() or np.isnan(values).all()
+            require(path, (complete, "", f"numbers in {', '.join(columns)}, or nothing", values.tolist(), ""))
+            return values
+
         # An object is meant by its id, or by a name that one object alone has.
         name = row["object"]
         same = [each for each, label in names.items() if label == name]
         name = same[0] if name not in names and len(same) == 1 else name
-        time = numbers(row, "time")
-        frame = numbers(row, "frame")
-        if time is not None:
-            instant = float(time[0]) * about.seconds
-        elif frame is not None and about.video is not None:
-            instant = about.video.start * about.seconds + float(frame[0]) / about.video.fps
-        else:
-            instant = float("nan")
+        known = f"an object of the recording.{did_you_mean(name, names)}".rstrip(".")
         action = row["action"].lower()
         hand = row.get("hand", "").lower()
-        point = numbers(row, *own.POINT)
-        box = numbers(row, *own.BOX)
-        upright = box is None or bool((box[:3] <= box[3:]).all())
-        known = f"an object of the recording.{did_you_mean(name, names)}".rstrip(".")
+        instant = float(numbers("time")[0] * about.seconds)
+        if np.isnan(instant):
+            instant = float(video.start * about.seconds + numbers("frame")[0] / video.fps)
         require(
             path,
             (action in ("pick", "put"), "", "the action 'pick' or 'put'", f"'{action}'", ""),
             (hand in ("left", "right", ""), "", "the hand 'left', 'right' or nothing", f"'{hand}'", ""),
             (name and "/" not in name, "", "an object, without '/' in its name", f"'{name}'", ""),
             (name in names or not names, "", known, f"'{name}'", ""),
-            (np.isfinite(instant), "", "a time, or a frame and [video]", "neither", ""),
             (first <= instant <= last, "", f"a time from {first:.1f} to {last:.1f} s", f"{instant:.3f} s", ""),
-            (upright, "", "a box whose min_… are not above its max_…", f"{box}", ""),
         )
         # Without a place of its own an event is where the tracked object rests.
-        corners = None if box is None else _corners(box, about.turn * about.metres)
-        if box is None and point is None:
+        point = about.points(numbers(*own.POINT))
+        box = numbers(*own.BOX)
+        corners = None if np.isnan(box[0]) else _corners(box, about.turn * about.metres)
+        if corners is None and np.isnan(point[0]):
             rest = instant + thresholds["rest_window"] * (-1 if action == "pick" else 1)
             corners = _box_at(recording, name, rest, thresholds["longest_unseen_rest"])
         low, high = corners or (None, None)
-        location = None if corners is None else (corners[0] + corners[1]) / 2
-        location = location if point is None else about.points(point)
+        middle = None if corners is None else (corners[0] + corners[1]) / 2
+        location = middle if np.isnan(point[0]) else point
         side, source = (hand or None, "annotated" if hand else None)
         if not hand and location is not None:
-            wrists = streams.wrists_at(recording.hands, recording.body, instant)
-            side, source = streams.reaching_hand(wrists, location)
+            side, source = streams.reaching_hand(streams.wrists_at(recording.hands, recording.body, instant), location)
         told = (key, action, name, names.get(name, name), instant, location, low, high, side, None, source)
         return streams.AnnotatedEvent(*told)
 

@@ -34,23 +34,18 @@ def write_recording(
         suffix: Kind of the files.
 
     Raises:
-        UsageError: for an unknown table or a missing column.
+        UsageError: for an unknown table.
         StorageError: if the folder holds something else, or cannot be written.
     """
     folder = Path(folder).expanduser().absolute()
     require_replaceable(folder, own.ABOUT_FILE, kind="plain recording")
+    if odd := next((name for name in tables if name not in own.TABLES), ""):
+        raise UsageError(f"{folder}: there is no table '{odd}'.{did_you_mean(odd, own.TABLES)}")
     frames = {name: pd.DataFrame(dict(values)) for name, values in tables.items()}
-    for name, frame in frames.items():
-        if name not in own.TABLES:
-            raise UsageError(f"{folder}: there is no table '{name}'.{did_you_mean(name, own.TABLES)}")
-        for column in own.columns_of(name, about).required:
-            if column not in frame:
-                raise UsageError(f"{folder}, {name}: expected a column '{column}', found none.")
     values = {key: value for key, value in msgspec.to_builtins(about).items() if value is not None}
     with atomic_folder(folder) as made:
         (made / own.ABOUT_FILE).write_text(tomli_w.dumps(values), encoding="utf-8")
         for name, frame in frames.items():
-            if len(frame) and suffix == ".csv":
-                frame.to_csv(made / f"{name}.csv", index=False)
-            elif len(frame):
-                frame.to_parquet(made / f"{name}.parquet", index=False)
+            if len(frame):
+                write = frame.to_csv if suffix == ".csv" else frame.to_parquet
+                write(made / f"{name}{suffix}", index=False)
