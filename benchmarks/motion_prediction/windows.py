@@ -27,7 +27,7 @@ from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import head_forward
 from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_protocol
-from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
+from prbench.readers import PublishedForPrediction, Reader, reader_for
 from prbench.recording import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
 from prbench.sequences.sequence import Recording as RecordingRow

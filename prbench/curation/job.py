@@ -31,7 +31,7 @@ from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.limits import HARMLESS_SIZE, LARGEST_ARCHIVE, LARGEST_JSON, LARGEST_PICKLE, LARGEST_UNPACKED
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_protocol
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest, load_protocol
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import RecordingFiles, reader_for
 from prbench.recording import Recording
@@ -341,7 +341,11 @@ _STAGES = {
 
 
 def provenance_of(
-    dataset: str, protocol: Any, receipts: SequenceOf[PartReceipt], used: SequenceOf[PartReceipt]
+    dataset: str,
+    protocol: Any,
+    receipts: SequenceOf[PartReceipt],
+    used: SequenceOf[PartReceipt],
+    manifest: Manifest | None = None,
 ) -> dict[str, Any]:
     """Return the fields of a description that follow from the parts of a build, and the dataset's terms.
 
@@ -350,8 +354,9 @@ def provenance_of(
         protocol: Rules of the build.
         receipts: All parts.
         used: The parts whose files make the digest of the input.
+        manifest: The manifest that they were built by; the dataset's own by default.
     """
-    manifest = load_manifest(dataset.removeprefix(readers.SYNTHETIC_PREFIX))
+    manifest = manifest or load_manifest(dataset)
     inputs = (text for each in used for text in (each.record.recording_id, each.input_digest))
     return {
         **manifest.terms(synthetic=dataset.startswith(readers.SYNTHETIC_PREFIX)),
@@ -382,7 +387,7 @@ def describe(
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.
     body = manifest.body_source(dict(options.reader).get("poses"))
-    about = provenance_of(dataset, protocol, receipts, receipts)
+    about = provenance_of(dataset, protocol, receipts, receipts, manifest)
     if not about["synthetic"]:
         about["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
