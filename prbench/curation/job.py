@@ -341,11 +341,7 @@ _STAGES = {
 
 
 def provenance_of(
-    dataset: str,
-    protocol: Any,
-    receipts: SequenceOf[PartReceipt],
-    used: SequenceOf[PartReceipt],
-    manifest: Manifest | None = None,
+    dataset: str, protocol: Any, receipts: SequenceOf[PartReceipt], used: SequenceOf[PartReceipt]
 ) -> dict[str, Any]:
     """Return the fields of a description that follow from the parts of a build, and the dataset's terms.
 
@@ -354,9 +350,8 @@ def provenance_of(
         protocol: Rules of the build.
         receipts: All parts.
         used: The parts whose files make the digest of the input.
-        manifest: The manifest that they were built by; the dataset's own by default.
     """
-    manifest = manifest or load_manifest(dataset)
+    manifest = load_manifest(dataset)
     inputs = (text for each in used for text in (each.record.recording_id, each.input_digest))
     return {
         **manifest.terms(synthetic=dataset.startswith(readers.SYNTHETIC_PREFIX)),
@@ -387,7 +382,8 @@ def describe(
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.
     body = manifest.body_source(dict(options.reader).get("poses"))
-    about = provenance_of(dataset, protocol, receipts, receipts, manifest)
+    about = provenance_of(dataset, protocol, receipts, receipts) | {"manifest_digest": digest_of(manifest)}
+    about |= manifest.terms(synthetic=about["synthetic"])
     if not about["synthetic"]:
         about["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
