@@ -119,7 +119,7 @@ def test_scoring_again_finds_what_a_pull_request_made_up(tmp_path):
         (lambda path: (path / "history.jsonl").write_text(""), "belongs to nothing on the board"),
         (lambda path: edit(path / "board.toml", 'redistribution = "yes"', 'redistribution = "none"'), "--permission"),
         (lambda path: edit(path / "leaderboard.csv", "static", "mine"), "leaderboard.csv: is not made of"),
-        (lambda path: edit(path / "board.toml", 'identity = "', 'identity = "zz'), "expected the keys of a board"),
+        (lambda path: edit(path / "board.toml", 'identity = "', 'identity = "zz'), "identity: expected"),
     ],
 )  # fmt: skip
 def test_what_no_command_has_put_there_is_found_and_keeps_pages_from_being_made(tmp_path, damage, told):

@@ -98,7 +98,7 @@ options = { fast = true, steps = 3, scale = 0.5, words = "a b" }
         ("[[methods]]\nname = 'x'\nwieghts = 'y'", "wieghts"),
         ("sed = 3\n[[methods]]\nname = 'x'", "sed"),
         ("[[methods]]\nconditions = ['goal']\nname = 'x'", "goal"),
-        ("[[methods]]\nname = 3", "expected the keys of an experiment"),
+        ("[[methods]]\nname = 3", r"methods\[0\].name: expected a value of the key's type"),
         ("methods", "expected a TOML file"),
     ],
 )
