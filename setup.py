@@ -17,6 +17,7 @@ DATA = [
     "*.json",
     "*.safetensors",
     "*.template",
+    "dataset/**/*.template",
     "*.html",
     "*.css",
     "*.js",

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.adapters import scaffold_answer
+from prbench.cli.adapters import print_report, scaffold_answer
 from prbench.cli.builds import NOT_EVERYTHING, print_annotations
 from prbench.cli.commands import Answer, Group, SeveralValues, command, note, progress
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_columns, print_table
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from prbench.checking.inspection import InspectedDataset, InspectedTable
 
 
-_HELP = "List the datasets (this is also what `prbench datasets` alone does), start a new one."
-_COMMANDS = {"list": f"{__name__}:list_datasets", "new": f"{__name__}:new"}
+_HELP = "List the datasets (this is also what `prbench datasets` alone does), start a new one, check a reader."
+_COMMANDS = {"list": f"{__name__}:list_datasets", "new": f"{__name__}:new", "check": f"{__name__}:check"}
 _EXAMPLES = "prbench datasets --root /data\nprbench datasets new tabletop"
 datasets = Group("datasets", sections={"commands": _COMMANDS}, example=_EXAMPLES, help=_HELP, usual="list")
 _CITE = "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt"
@@ -103,10 +103,36 @@ def new(*, name: str, out: Path | None) -> Answer:
     return scaffold_answer(new_dataset(name, out))
 
 
+@command(
+    "check", example="prbench datasets check adt --root ADT", report="prbench.checking.conformance.findings:Report"
+)
+@click.argument("name", required=False)
+@opt.root_option("A copy of it, of two recordings or more.", required=False)
+@opt.number_option("--max-recordings", "Read at most N recordings, the first that are found (default 3).")
+@opt.reader_options()
+@opt.flag("--list", "listed", "List the checks, and make none.")
+def check(*, name: str | None, root: Path | None, options: opt.Pairs, listed: bool, **given: Any) -> Answer:
+    """Check a reader and its manifest on a copy of the dataset, and say what to change.
+
+    NAME is that of an installed dataset. Nothing is written into the copy.
+    """
+    from prbench.checking.conformance.findings import Finding, Outcome, Report
+    from prbench.checking.dataset_checks import CHECKS, check_dataset
+
+    if listed:
+        checks = [(each.name, Outcome.SKIPPED, each.title) for each in CHECKS]
+        report = Report("", tuple(Finding(*each) for each in checks), 0.0)
+        return Answer(report, lambda: print_columns(("check", "", "question"), checks))
+    if name is None or root is None:
+        raise UsageError("NAME and --root DIR are needed: the dataset, and a copy of it. (--list does without.)")
+    with progress(f"checking {name}") as show:
+        chosen = (given["max_recordings"] or 3, tuple(sorted(options.items())))
+        report = check_dataset(name, root, *chosen, lambda one: show(CHECKS.index(one), len(CHECKS), one.name))
+    return Answer(report, lambda: print_report(report), NOT_EVERYTHING if report.failed else 0)
+
+
 # Recordings of a dataset that are listed without ``--all``.
 _SHOWN = 30
-# Exit code when something is missing, damaged, cut short or unreadable.
-_NOT_COMPLETE = 3
 
 
 @command("inspect", example="prbench inspect /data tables/adt", report="prbench.checking.inspection:Inspection")
@@ -139,7 +165,7 @@ def inspect(
         if found.tables:
             _print_tables(found.tables)
 
-    return Answer(found, show_all, 0 if found.all_complete else _NOT_COMPLETE)
+    return Answer(found, show_all, 0 if found.all_complete else NOT_EVERYTHING)
 
 
 def _print_dataset(dataset: InspectedDataset, *, everything: bool) -> None:

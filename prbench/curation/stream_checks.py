@@ -498,7 +498,7 @@ def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, st
         upright = bones[[joint - 1 for joint in _UPRIGHT]].sum()  # bones stand in the order of their lower ends
         yield "body", "body", "ankle to head along the bones (m)", upright / _FACTORS, 0.9, 2.4
         up = np.median(joints[:, Joint.HEAD] - joints[:, Joint.LEFT_ANKLE], axis=0)
-        yield "body", "body", "its up along Y (cosine)", up[1:2] / np.linalg.norm(up), _LEAST_UP, 1.0
+        yield "body", "body", "its up along Y (cosine)", up[1:2] / np.linalg.norm(up), _LEAST_UP, 1.01
     if streams.turn is not None and streams.facing is not None and head is not None and head[1].any():
         speeds, known = _speeds(head)
         rows = streams.turning[known[streams.turning]]
@@ -506,7 +506,7 @@ def _measures(streams: Gridded, pairs: Sequence[Pair]) -> Iterator[tuple[str, st
             lever = np.linalg.norm(speeds[rows], axis=1) / np.linalg.norm(streams.turn[rows], axis=1)
             yield "head", "head", "its way for a radian of turning (m)", np.median(lever) / _FACTORS, 0.02, 5.0
         up = np.median(streams.facing.apply((0.0, 1.0, 0.0))[head[1]], axis=0, keepdims=True)
-        yield "head", "head", "its up along Y (cosine)", up[0, 1:2], _LEAST_UP, 1.0
+        yield "head", "head", "its up along Y (cosine)", up[0, 1:2], _LEAST_UP, 1.01
     for place, known in streams.hands.values():
         both = known if head is None else known & head[1]
         if head is not None and both.any():

@@ -70,7 +70,7 @@ def test_every_command_of_the_page_works_for_the_package(package, capsys) -> Non
             assert program == "prbench"
             assert main(arguments) == 0, line
             printed[arguments[0]] = printed.get(arguments[0], "") + capsys.readouterr().out
-    assert "Tabletop (tabletop), for: benchmark" in printed["datasets"]
+    assert "tabletop (tabletop), for: benchmark" in printed["datasets"]
     assert "2 recordings (2 complete)" in printed["inspect"]
     assert "prime-and-reach sequences" in printed["inspect"]
     assert "cup" in printed["explain"]
@@ -92,5 +92,5 @@ def test_the_package_is_listed_beside_those_of_prbench(package, capsys) -> None:
     assert (find_reader("tabletop").package, find_reader("tabletop").built_in) == ("prbench-tabletop", False)
     assert main(["datasets"]) == 0
     printed = capsys.readouterr().out
-    assert "Tabletop" in printed
+    assert "tabletop" in printed
     assert "!" not in printed

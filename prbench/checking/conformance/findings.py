@@ -8,6 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from prbench.errors import PrbenchError
 from prbench.protocol.manifests import default_benchmark
 
 TIME_LIMIT = 600.0  # default limit of each call of the method, seconds
@@ -45,11 +46,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """All findings about one method.
+    """All findings about one method, or one dataset's reader.
 
     Attributes:
-        method: The method, as it was named.
-        findings: All findings, in the order of the checks. The exit code is 5 if one failed.
+        method: The method, or the dataset, as it was named.
+        findings: All findings, in the order of the checks. The exit code is 5 (of a dataset 3) if one failed.
         seconds: How long the checks took.
     """
 
@@ -207,7 +208,9 @@ def _found(one: Check, subject: Any, worst: Mapping[str, Outcome]) -> list[Findi
             first = broken[0] if broken else repr(subject.asks)
             return [skipped(f"there are no motions to look at before {first} passes.")]
         return list(one.examine(subject))
+    except PrbenchError as error:  # which says what to change
+        return [failed(str(error), "")]
     except Exception as error:  # a method may answer in ways that no check expects
-        found = f"the check could not make sense of the method's answers: {type(error).__name__}: {error}"
+        found = f"the check could not make sense of the answers: {type(error).__name__}: {error}"
         remedy = "Look at the failures above first; if there are none, this is a defect of prbench: please report it."
         return [failed(found, remedy)]

@@ -18,6 +18,7 @@ _OF_WAYS = (place.examine_root, place.examine_first_frame, place.examine_facing,
 _OF_CLOCKS = (frame_rate.examine_repeats, frame_rate.examine_holds, frame_rate.examine_rhythm)
 _OF_TIME = (frame_rate.examine_length, *_OF_CLOCKS, frame_rate.examine_frame_rate)
 EXAMINATIONS: tuple[Examination, ...] = (*_OF_NUMBERS, *_OF_JOINTS, *_OF_WAYS, place.examine_floor, *_OF_TIME)
+OF_A_BODY = (*_OF_NUMBERS, *_OF_JOINTS)
 # A floor that is missed, and a clock that stumbles, may be how a method moves; the other faults are those of files.
 _OF_A_METHOD = (place.examine_floor, *_OF_CLOCKS)
 OF_THE_CONVERSION = tuple(each for each in EXAMINATIONS if each not in _OF_A_METHOD)

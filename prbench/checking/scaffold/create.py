@@ -6,7 +6,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -17,6 +17,7 @@ from prbench.checking.scaffold.one_file import ONE_FILE, converters_file
 from prbench.contract import GIVEN, Condition
 from prbench.datasets import dataset_name_problem, own_datasets, readable_datasets
 from prbench.errors import StorageError, UsageError
+from prbench.files.bounded import read_text
 from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.installed import name_problem
@@ -98,12 +99,7 @@ def method_names(name: str, *, of: str = "method") -> MethodNames:
     if name in _RESERVED:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
     own = {method for about in benchmarks().values() for method in about.methods}
-    if of == "dataset":
-        own = {*own_datasets(), *readable_datasets()}
-        problem = dataset_name_problem(name, known=own)
-    else:
-        problem = name_problem(name, own=own)
-    if problem:
+    if problem := name_problem(name, own=own):
         hint = f", such as 'my-{name}'" if name in own else ""
         raise UsageError(f"{problem}. Choose another{hint}.")
     return MethodNames(name)
@@ -205,19 +201,7 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     """
     names = method_names(request.name)
     folder = request.out or Path(names.method if request.program else names.distribution)
-    return _written(folder, lambda: _contents(names, request), command_lines(names, request))
-
-
-_OF_A_DATASET = {
-    "pyproject.toml": "pyproject.toml",
-    "README.md": "README.md",
-    "make_example.py": "make_example.py",
-    "src/<<module>>/reader.py": "reader.py",
-    "src/<<module>>/<<name>>.toml": "manifest.toml",
-    "src/<<module>>/tracked.py": "tracked.py",
-    "src/<<module>>/<<name>>-tracked.toml": "tracked.toml",
-    "tests/test_reader.py": "test_reader.py",
-}
+    return _written(folder, _contents(names, request), command_lines(names, request))
 
 
 def new_dataset(name: str, out: Path | None = None) -> ScaffoldReport:
@@ -232,52 +216,35 @@ def new_dataset(name: str, out: Path | None = None) -> ScaffoldReport:
         StorageError: if the folder exists and holds something, or cannot be written.
     """
     names = method_names(name, of="dataset")
-    commands = {
-        'pip install -e ".[test]"': "install; prbench finds the reader by its entry point",
-        "python -m pytest": "what the reader promises",
-        "python make_example.py example": "two recordings",
-        f"prbench build-dataset {name} --root example --out tables/{name}": "two sequences",
-    }
-    values = {
-        "name": name,
-        "distribution": names.distribution,
-        "module": names.module,
-        "class": names.class_name.removesuffix("Method") + "Reader",
-        "title": " ".join(map(str.capitalize, name.split("-"))),
-        "key": name.replace("-", ""),
-        "prbench_version": prbench.__version__.partition("+")[0],
-        "commands": _with_comments(commands),
-    }
-
-    def contents() -> dict[str, str]:
-        source = f"src/{names.module}"
-        made = {f"{source}/__init__.py": "", ".gitignore": read_template("gitignore")}
-        for path, template in _OF_A_DATASET.items():
-            made[filled(path, values, ()).rstrip()] = filled(read_template(f"dataset_{template}"), values, ())
-        return made
-
-    return _written(out or Path(names.distribution), contents, commands)
+    if problem := dataset_name_problem(name, known=(*own_datasets(), *readable_datasets())):
+        raise UsageError(f"{problem}.")
+    values = {"name": name, "distribution": names.distribution, "module": names.module}
+    made = {f"src/{names.module}/__init__.py": "", ".gitignore": read_template("gitignore")}
+    templates = Path(__file__).with_name("dataset")  # as the package will stand, but for two names
+    for template in templates.rglob("*.template"):
+        path = template.relative_to(templates).with_suffix("").as_posix().replace("MODULE", names.module)
+        made[path.replace("NAME", name)] = filled(read_text(template), values, ())
+    commands = (
+        *('pip install -e ".[test]"', "python -m pytest", "python make_example.py example"),
+        f"prbench datasets check {name} --root example",
+        f"prbench build-dataset {name} --root example --out tables/{name}",
+    )
+    return _written(out or Path(names.distribution), made, commands)
 
 
-def _written(folder: Path, contents: Callable[[], Mapping[str, str]], commands: Iterable[str]) -> ScaffoldReport:
+def _written(folder: Path, contents: Mapping[str, str], commands: Iterable[str]) -> ScaffoldReport:
     """Write a new folder, whole or not at all: a half-written package would install and fail later."""
     with sole_writer(folder):
         # An empty folder may be replaced, for example a fresh clone, but not the current one; a link may lead anywhere.
         empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
         if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
             raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")
-        texts = contents()
         with atomic_folder(folder) as temporary:
-            for path, text in texts.items():
+            for path, text in contents.items():
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
-    return ScaffoldReport(folder, tuple(sorted(map(Path, texts))), (f"cd {shlex.quote(str(folder))}", *commands))
-
-
-def _with_comments(commands: Mapping[str, str]) -> str:
-    width = max(map(len, commands))
-    return "\n".join(f"{command:<{width}}  # {comment}" for command, comment in commands.items())
+    return ScaffoldReport(folder, tuple(sorted(map(Path, contents))), (f"cd {shlex.quote(str(folder))}", *commands))
 
 
 def command_lines(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
@@ -325,6 +292,8 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
     """Return the text for every place in the templates."""
     chosen = request.chosen
     first = chosen[0].value
+    lines = command_lines(names, request)
+    width = max(map(len, lines))
     run = f"prbench run --method {names.program}.toml --condition {first}"
     described = f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench."
     if request.benchmark == _PREDICTION:
@@ -344,7 +313,7 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
         "described": described,
         "entry_points": find_benchmark(request.benchmark).entry_points,
         "run": run,
-        "commands": _with_comments(command_lines(names, request)),
+        "commands": "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines.items()),
         "row_fields": "\n".join(f"        {line}" for name, line in _ROW_FIELDS.items() if name in given),
         # The rows of the standing pose, as the package's own file has them.
         "standing": "\n".join(line for line in read_template("standing.py").splitlines() if line[:9] == "        ["),
