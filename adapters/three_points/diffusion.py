@@ -198,10 +198,10 @@ class TrackDiffusion(nn.Module):
             return {name: each.mean() for name, each in self.denoiser.loss(clean, batch.features, step, noise).items()}
         predicted = self.denoiser(noised(clean, self.denoiser.schedule, step, noise), batch.features, step)
         both = matrices_of_columns(torch.stack((predicted, clean)))
-        bodies = joints_under_head(both, batch.offsets[:, None], batch.head.expand(2, -1, -1, -1))
+        found, recorded = joints_under_head(both, batch.offsets[:, None], batch.head.expand(2, -1, -1, -1))
         rotations = functional.l1_loss(predicted, clean)
-        positions = functional.l1_loss(*bodies)
-        velocities = functional.l1_loss(*bodies.diff(dim=2)) * self.configuration.fps
+        positions = functional.l1_loss(found, recorded)
+        velocities = functional.l1_loss(found.diff(dim=1), recorded.diff(dim=1)) * self.configuration.fps
         loss = rotations + positions + _VELOCITY_WEIGHT * velocities
         return {"loss": loss, "rotations": rotations, "positions": positions, "velocities": velocities}
 
@@ -307,8 +307,8 @@ def _log_variance(share: Rotations, chain: Chain, place: Steps) -> Rotations:
     """Logarithm of the variance of a step, between its smallest for a share of -1 and its largest for 1."""
     smallest = chain.posterior_variance.copy()
     smallest[0] = smallest[1]  # the last step has none and takes its neighbour's
-    ends = (_at(np.log(variance), place, share) for variance in (smallest, chain.betas))
-    return torch.lerp(*ends, 0.5 * (share + 1.0))
+    least, most = (_at(np.log(variance), place, share) for variance in (smallest, chain.betas))
+    return torch.lerp(least, most, 0.5 * (share + 1.0))
 
 
 def _image_log_likelihood(value: Tensor, mean: Tensor, log_variance: Tensor) -> Tensor:
