@@ -6,7 +6,7 @@ Every stage, threshold and source: docs/specification/alignment.md.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.alignment import hand_eye
-from prbench.alignment.clock import LEAST_PEAK, LEAST_RATIO, LONGEST_GAP, Clock, find_clock
+from prbench.alignment.clock import LONGEST_GAP, Clock, find_clock
 from prbench.alignment.hand_eye import Motions, Transform
 from prbench.geometry.timelines import covered, interpolate, slerp
 from prbench.recording import PoseStream
@@ -37,27 +37,12 @@ _NEARLY_PLANAR = 3.0  # condition number of the translation
 
 
 class Residual(msgspec.Struct, frozen=True, kw_only=True):
-    """How far A X and X B are apart after one stage: median and 95th percentile, degrees and millimetres."""
+    """How far A X and X B are apart after one stage: median and 95th percentile, in degrees or millimetres."""
 
     stage: str
-    rotation_p50: float
-    rotation_p95: float
-    translation_p50: float | None = None
-    translation_p95: float | None = None
-
-
-class Centre(msgspec.Struct, frozen=True, kw_only=True):
-    """X of one window.
-
-    Attributes:
-        time: Middle of the window, seconds, device clock.
-        rotation: Rotation of X, w x y z.
-        translation: Translation of X, metres.
-    """
-
-    time: float
-    rotation: tuple[float, float, float, float]
-    translation: tuple[float, float, float]
+    unit: str
+    p50: float
+    p95: float
 
 
 class Slip(msgspec.Struct, frozen=True, kw_only=True):
@@ -81,7 +66,8 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
         weakest_direction: Direction in which the translation is known least, device coordinates.
         device_from_segment: X, 4 x 4, metres; where the device slipped, that of the longest stretch between slips.
         residuals: One row a stage.
-        rolling: X of windows of 120 s every 5 s; windows end where the device slipped.
+        rolling: X of windows of 120 s every 5 s, which end where the device slipped: time of the middle (device clock,
+            seconds), rotation (w x y z) and translation (metres).
         rolling_range: Largest difference between two windows, degrees and metres.
         slips: Sudden changes of X, in the order of time.
         findings: Sentences about what a user should look at.
@@ -90,14 +76,14 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     refused: str = ""
     overlap: float = 0.0
     clock: Clock | None = None
-    kept: float | None = None
+    kept: float = 0.0
     n_motions: int = 0
     singular_ratio: float | None = None
     condition: float | None = None
     weakest_direction: tuple[float, float, float] | None = None
     device_from_segment: tuple[tuple[float, float, float, float], ...] | None = None
     residuals: tuple[Residual, ...] = ()
-    rolling: tuple[Centre, ...] = ()
+    rolling: tuple[tuple[float, ...], ...] = ()
     rolling_range: tuple[float, float] | None = None
     slips: tuple[Slip, ...] = ()
     findings: tuple[str, ...] = ()
@@ -112,10 +98,10 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"there is no alignment: {self.refused}")
         x = np.tile(np.array(self.device_from_segment), (len(times), 1, 1))
         if self.moved:
-            centres = np.array([centre.time for centre in self.rolling])
-            turn = slerp(centres, np.array([centre.rotation for centre in self.rolling]), times)
+            rolling = np.array(self.rolling)
+            turn = slerp(rolling[:, 0], rolling[:, 1:5], times)
             x[:, :3, :3] = Rotation.from_quat(turn, scalar_first=True).as_matrix()
-            x[:, :3, 3] = interpolate(centres, np.array([centre.translation for centre in self.rolling]), times)
+            x[:, :3, 3] = interpolate(rolling[:, 0], rolling[:, 5:], times)
         return x
 
     @property
@@ -131,13 +117,16 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
         return PoseStream(device.times, device.position + turn.apply(x[:, :3, 3]), turned, device.valid)
 
 
-def align(device: PoseStream, segment: PoseStream, *, offset: float | None = None) -> Alignment:
+def align(
+    device: PoseStream, segment: PoseStream, *, offset: float | None = None, least_overlap: float = LEAST_OVERLAP
+) -> Alignment:
     """Find the clocks' offset and the X with T_WS(t) = T_WD(t) · X.
 
     Args:
         device: Poses of the device in any world, on its clock.
         segment: Poses of the segment that carries it, in any other world, on its own clock.
         offset: Segment's clock minus the device's where it is known to within half a second; 0 of one clock.
+        least_overlap: Seconds that both must have tracked.
 
     Returns:
         The alignment, or why it is refused; nothing is raised for recordings that cannot be aligned.
@@ -145,40 +134,29 @@ def align(device: PoseStream, segment: PoseStream, *, offset: float | None = Non
     clock = find_clock(device, segment, around=offset)
     if clock is None:
         return Alignment(refused="the two tracks have too few poses in common to compare how they turn")
-    motions, overlap, start_rate = _motions(device, segment, clock)
+    motions, overlap, start_rate = relative_motions(device, segment, clock)
     turning, agreeing = hand_eye.usable(motions)
     chosen = motions[agreeing if agreeing.sum() >= _FEWEST_MOTIONS else slice(None)]
     singular = hand_eye.rotation_of(chosen)[1]
     ratio = float(singular[1] / max(singular[0], 1e-12))
-    found = Alignment(
-        overlap=overlap,
-        clock=clock,
-        kept=float(agreeing.sum() / max(turning.sum(), 1)),
-        n_motions=int(agreeing.sum()),
-        singular_ratio=ratio,
-    )
+    counts = {"kept": float(agreeing.sum() / max(turning.sum(), 1)), "n_motions": int(agreeing.sum())}
+    known: dict[str, Any] = {"overlap": overlap, "clock": clock, "singular_ratio": ratio} | counts
     share = f"{int(turning.sum())} of {len(motions)} relative motions turn by 2° to 60°, device and segment alike in"
-    named = f"{share} {found.n_motions}; σ₂/σ₁ = {ratio:.3f}"
+    named = f"{share} {int(agreeing.sum())}; σ₂/σ₁ = {ratio:.3f}"
     refused = ""
     if turning.sum() < _LEAST_TURNING * start_rate * len(hand_eye.SPANS):
         refused = f"the device hardly turns, so that how it sits cannot be observed: {named}"
-    elif clock.peak < LEAST_PEAK or clock.peak < LEAST_RATIO * clock.second_peak:
-        needed = f"needed {LEAST_PEAK:g} and {LEAST_RATIO:g} times the second"
-        refused = (
-            f"device and segment turn alike by {clock.peak:.2f} only (second peak {clock.second_peak:.2f}; {needed})"
-        )
-        refused += ": are they of one recording?"
-    elif overlap < LEAST_OVERLAP:
-        refused = f"the two tracks share {overlap:.1f} s without gaps; at least {LEAST_OVERLAP:g} s are needed"
-    elif found.n_motions < _FEWEST_MOTIONS:
+    elif clock.doubt():
+        refused = f"device and segment turn alike by {clock.doubt()}: are they of one recording?"
+    elif overlap < least_overlap:
+        refused = f"the two tracks share {overlap:.1f} s without gaps; at least {least_overlap:g} s are needed"
+    elif agreeing.sum() < _FEWEST_MOTIONS:
         refused = f"device and segment turn by different angles: {named}"
     elif ratio < LEAST_SINGULAR_RATIO:
-        least = f"at least {LEAST_SINGULAR_RATIO:g} is needed"
-        refused = (
-            f"the head turns about one axis only, so that how the device sits cannot be observed: {named}, {least}"
-        )
+        named += f", at least {LEAST_SINGULAR_RATIO:g} is needed"
+        refused = f"all turns are about one axis, so that how the device sits cannot be observed: {named}"
     if refused:
-        return msgspec.structs.replace(found, refused=refused)
+        return Alignment(refused=refused, **known)
 
     slips = _slips(chosen, float(chosen.times[0]), float(chosen.times[-1]), start_rate)
     borders = [-np.inf, *(slip.time for slip in slips), np.inf]
@@ -186,30 +164,29 @@ def align(device: PoseStream, segment: PoseStream, *, offset: float | None = Non
     longest = max(stretches, key=len)
     by_stages, _, normal = hand_eye.in_stages(longest)
     x = hand_eye.refined(longest, by_stages)
-    residuals = (
-        _residual("rotation", longest, by_stages),
-        _residual("translation", longest, by_stages),
-        _residual("joint", longest, x),
-    )
-    if residuals[-1].rotation_p50 > _LARGEST_RESIDUAL:
-        apart = f"median {residuals[-1].rotation_p50:.1f}° a motion; {_LARGEST_RESIDUAL:g}° at most"
-        return msgspec.structs.replace(found, refused=f"device and segment turn about different axes ({apart})")
+    residuals = []
+    for stages, estimate in ((("rotation", "translation"), by_stages), (("joint", "joint"), x)):
+        for stage, unit, errors in zip(stages, ("°", "mm"), hand_eye.sizes_of_errors(longest, estimate), strict=True):
+            p50, p95 = np.percentile(errors, [50, 95]).tolist()
+            residuals.append(Residual(stage=stage, unit=unit, p50=p50, p95=p95))
+    if residuals[2].p50 > _LARGEST_RESIDUAL:
+        apart = f"median {residuals[2].p50:.1f}° a motion; {_LARGEST_RESIDUAL:g}° at most"
+        return Alignment(refused=f"device and segment turn about different axes ({apart})", **known)
     values, vectors = np.linalg.eigh(normal)
-    rolling = tuple(centre for stretch in stretches for centre in _rolling(stretch, start_rate))
-    found = msgspec.structs.replace(
-        found,
-        condition=float(np.sqrt(values[2] / max(values[0], 1e-12))),
-        weakest_direction=tuple(vectors[:, 0].tolist()),
-        device_from_segment=tuple(map(tuple, x.tolist())),
-        residuals=residuals,
-        rolling=rolling,
-        rolling_range=_range(rolling),
-        slips=slips,
-    )
-    return msgspec.structs.replace(found, findings=_findings(found))
+    known["condition"] = float(np.sqrt(values[2] / max(values[0], 1e-12)))
+    known["weakest_direction"] = tuple(vectors[:, 0].tolist())
+    known["rolling"] = tuple(row for each in stretches if len(each) for row in _rolling(each, start_rate))
+    rows = np.array(known["rolling"]).reshape(-1, 8)
+    # The largest difference between two windows.
+    nearest = min((float(np.abs(rows[:, 1:5] @ row[1:5]).min()) for row in rows), default=1.0)
+    farthest = max((float(np.linalg.norm(rows[:, 5:] - row[5:], axis=1).max()) for row in rows), default=0.0)
+    known["rolling_range"] = (float(np.rad2deg(2 * np.arccos(min(nearest, 1.0)))), farthest)
+    known["device_from_segment"] = tuple(map(tuple, x.tolist()))
+    found = Alignment(**known, residuals=tuple(residuals), slips=slips)
+    return msgspec.structs.replace(found, findings=_findings(found, clock))
 
 
-def _motions(device: PoseStream, segment: PoseStream, clock: Clock) -> tuple[Motions, float, float]:
+def relative_motions(device: PoseStream, segment: PoseStream, clock: Clock) -> tuple[Motions, float, float]:
     """Return the relative motions, the seconds that both tracked, and the motions of each span that begin a second."""
     at = segment.times[segment.valid]
     native = 1.0 / float(np.median(np.diff(at)))
@@ -223,19 +200,17 @@ def _motions(device: PoseStream, segment: PoseStream, clock: Clock) -> tuple[Mot
     # Both ends of a motion and every frame between them were tracked: no gap is bridged.
     stretch = np.cumsum(~valid)
     every = max(1, -(-len(times) // _MOST_STARTS))
-    begins = []
-    ends = []
+    pairs = []
     for span in hand_eye.SPANS:
         step = max(1, round(span * rate))
         first = np.arange(0, max(len(times) - step, 0), every)
         whole = valid[first] & (stretch[first] == stretch[first + step])
-        begins.append(first[whole])
-        ends.append(first[whole] + step)
-    first = np.concatenate(begins)
-    order = np.argsort(first, kind="stable")
+        pairs.append(np.stack([first[whole], first[whole] + step]))
+    frames = np.concatenate(pairs, axis=1)
+    first, second = frames[:, np.argsort(frames[0], kind="stable")]
     poses = [stream.pose_at(moments) for stream, moments in ((device, times), (segment, on_segment))]
     tracks = [(Rotation.from_quat(rotation, scalar_first=True), position) for position, rotation in poses]
-    motions = hand_eye.motions_between(first[order], np.concatenate(ends)[order], times, *tracks)
+    motions = hand_eye.motions_between((first, second), times, *tracks)
     return motions, float(valid.sum() / rate), rate / every
 
 
@@ -281,8 +256,8 @@ def _slips(motions: Motions, start: float, end: float, start_rate: float) -> tup
     around = _between(motions, max(start, best[1] - WINDOW / 2), min(end, best[1] + WINDOW / 2))
     costs = []
     for x in best[2:]:
-        turned, moved = (np.linalg.norm(errors, axis=1) for errors in hand_eye.errors_of(around, x))
-        costs.append(np.minimum(np.rad2deg(turned) / SLIPPED_BY[0] + moved / SLIPPED_BY[1], 1.0))
+        turned, moved = hand_eye.sizes_of_errors(around, x)
+        costs.append(np.minimum(turned / SLIPPED_BY[0] + moved / SLIPPED_BY[1] / 1000, 1.0))
     place = int(np.argmin(np.cumsum(costs[0] - costs[1])))
     time = float(np.clip(around.times[place], start + _SHORTEST_SIDE / 2, end - _SHORTEST_SIDE / 2))
     sides = [_between(motions, max(start, time - WINDOW), time), _between(motions, time, min(end, time + WINDOW))]
@@ -298,68 +273,42 @@ def _change(before: Transform, after: Transform) -> tuple[float, float]:
     return float(turn), float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
 
 
-def _rolling(stretch: Motions, start_rate: float) -> list[Centre]:
+def _rolling(stretch: Motions, start_rate: float) -> list[tuple[float, ...]]:
     """Return X of windows of 120 s every 5 s and at both ends, where it is known well enough to tell a change."""
     start, end = stretch.times[[0, -1]]
-    centres = []
+    rows = []
     for time in (*np.arange(start, end, WINDOW_STEP), end):
         first = max(start, min(time - WINDOW / 2, end - WINDOW))
         estimate = _estimate(_between(stretch, first, first + WINDOW), start_rate)
         if estimate is not None and not _exceeds(2 * estimate[1], 2 * estimate[2]):
-            x = estimate[0]
-            turn = Rotation.from_matrix(x[:3, :3]).as_quat(canonical=True, scalar_first=True)
-            centres.append(
-                Centre(time=float(time), rotation=tuple(turn.tolist()), translation=tuple(x[:3, 3].tolist()))
-            )
-    return centres
-
-
-def _range(rolling: Sequence[Centre]) -> tuple[float, float] | None:
-    """Return the largest difference between two windows, degrees and metres."""
-    if not rolling:
-        return None
-    turns = np.array([centre.rotation for centre in rolling])
-    moves = np.array([centre.translation for centre in rolling])
-    nearest = min(float(np.abs(turns @ turn).min()) for turn in turns)
-    farthest = max(float(np.linalg.norm(moves - move, axis=1).max()) for move in moves)
-    return float(np.rad2deg(2 * np.arccos(min(nearest, 1.0)))), farthest
+            turn = Rotation.from_matrix(estimate[0][:3, :3]).as_quat(canonical=True, scalar_first=True)
+            rows.append((float(time), *turn.tolist(), *estimate[0][:3, 3].tolist()))
+    return rows
 
 
 def _exceeds(rotation: float, translation: float) -> bool:
     return rotation > SLIPPED_BY[0] or translation > SLIPPED_BY[1]
 
 
-def _residual(stage: str, motions: Motions, x: Transform) -> Residual:
-    turned, moved = (np.linalg.norm(errors, axis=1) for errors in hand_eye.errors_of(motions, x))
-    turns = np.rad2deg(np.percentile(turned, [50, 95]))
-    moves = 1000 * np.percentile(moved, [50, 95]) if stage != "rotation" else (None, None)
-    return Residual(
-        stage=stage,
-        rotation_p50=float(turns[0]),
-        rotation_p95=float(turns[1]),
-        translation_p50=None if moves[0] is None else float(moves[0]),
-        translation_p95=None if moves[1] is None else float(moves[1]),
-    )
-
-
-def _findings(found: Alignment) -> tuple[str, ...]:
+def _findings(found: Alignment, clock: Clock) -> tuple[str, ...]:
     """Return sentences about what a user should look at."""
-    said = []
-    clock = found.clock
-    if clock is not None and abs(clock.drift) > _FRAME:
-        drift = f"{1000 * clock.drift:.1f} ms from the first third to the last ({1e6 * clock.rate:.0f} ppm)"
-        said.append(f"the clocks drift: {drift}, which is taken out")
-    if clock is not None and abs(clock.bend) > _FRAME:
-        said.append(f"the clocks drift unevenly: the middle third is off by {1000 * clock.bend:.1f} ms")
-    for slip in found.slips:
-        by = f"{slip.rotation:.1f}° and {100 * slip.translation:.1f} cm"
-        said.append(f"the device moved against the segment by {by} at {slip.time:.1f} s of its clock")
-    if found.moved and not found.slips and found.rolling_range is not None:
-        by = f"{found.rolling_range[0]:.1f}° and {100 * found.rolling_range[1]:.1f} cm"
-        said.append(f"the device creeps against the segment: up to {by} between two windows")
-    if found.condition is not None and found.condition > _NEARLY_PLANAR and found.weakest_direction is not None:
-        along = ", ".join(f"{value:.2f}" for value in found.weakest_direction)
-        said.append(f"turns are nearly planar: the translation along ({along}) of the device is known least")
-    if found.kept is not None and found.kept < _FEW_AGREE:
-        said.append(f"device and segment turn by the same angle in {found.kept:.0%} of the motions only")
-    return tuple(said)
+    drift = f"{1000 * clock.drift:.1f} ms from the first third to the last ({1e6 * clock.rate:.0f} ppm)"
+    degrees, metres = found.rolling_range or (0.0, 0.0)
+    along = ", ".join(f"{value:.2f}" for value in found.weakest_direction or ())
+    slipped = [
+        f"the device moved against the segment by {slip.rotation:.1f}° and {100 * slip.translation:.1f} cm"
+        f" at {slip.time:.1f} s of its clock"
+        for slip in found.slips
+    ]
+    sentences = {
+        f"the clocks drift: {drift}, which is taken out": abs(clock.drift) > _FRAME,
+        f"the clocks drift unevenly: the middle third is off by {1000 * clock.bend:.1f} ms": abs(clock.bend) > _FRAME,
+        f"the device creeps against the segment: up to {degrees:.1f}° and {100 * metres:.1f} cm between two windows": (
+            found.moved and not slipped
+        ),
+        f"turns are nearly planar: the translation along ({along}) of the device is known least": (
+            (found.condition or 0.0) > _NEARLY_PLANAR
+        ),
+        f"device and segment turn by the same angle in {found.kept:.0%} of the motions only": found.kept < _FEW_AGREE,
+    }
+    return (*slipped, *(sentence for sentence, holds in sentences.items() if holds))

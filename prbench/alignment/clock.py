@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.timelines import slerp
+from prbench.geometry.timelines import covered, slerp
 from prbench.recording import PoseStream
 
 RATE = 100.0  # Hz
@@ -20,6 +20,7 @@ _SECOND_PEAK_AWAY = 1.0  # s
 _LEAST_OVERLAP = 0.5  # of the shorter signal
 _LONGEST_OF_CORRELATION = 5e6  # samples; a broken clock must not ask for all memory
 _NEAR = 0.5  # s on either side of a known offset that are searched
+_ALL_VALID = 0.999  # interpolated mask of a sample between two valid ones
 
 # Angular speed on a uniform grid: seconds of the first sample, radians a second, and which samples are valid.
 Signal = tuple[float, Float[np.ndarray, "_"], Bool[np.ndarray, "_"]]
@@ -46,6 +47,13 @@ class Clock(msgspec.Struct, frozen=True, kw_only=True):
     peak: float
     second_peak: float
 
+    def doubt(self, least_peak: float = LEAST_PEAK, least_ratio: float = LEAST_RATIO) -> str:
+        """Return how high the peak is where that does not settle the clock, else an empty text."""
+        if self.peak >= max(least_peak, least_ratio * self.second_peak):
+            return ""
+        needed = f"second peak {self.second_peak:.2f}; needed {least_peak:g} and {least_ratio:g} times the second"
+        return f"{self.peak:.2f} only ({needed})"
+
     def to_segment(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return device times on the segment's clock, seconds."""
         return times + self.offset + self.rate * (times - self.at)
@@ -66,105 +74,80 @@ def find_clock(device: PoseStream, segment: PoseStream, *, around: float | None 
     Returns:
         The best offset, however bad it is; None where there are too few poses to compare.
     """
-    first, second = (
-        angular_speed(stream.times[stream.valid], stream.rotation[stream.valid], RATE) if stream.valid.any() else None
-        for stream in (segment, device)
-    )
+    first = angular_speed(segment)
+    second = angular_speed(device)
     if first is None or second is None:
         return None
     if around is not None:
         return _refined(first, second, around, 0.0)
-    lag, height, other = best_agreement(first, second, RATE)
-    found = _refined(first, second, lag, other)
-    if height < LEAST_PEAK:
-        # A clock that drifts smears the peak of the whole; a part of the recording has a sharper one.
-        third = len(second[1]) // 3
-        middle = (second[0] + third / RATE, second[1][third:-third], second[2][third:-third])
-        lag, _, other = best_agreement(first, middle, RATE)
-        by_middle = _refined(first, second, lag, other)
-        if found is None or (by_middle is not None and by_middle.peak > found.peak):
-            return by_middle
-    return found
+    # A clock that drifts smears the peak of the whole; a part of the recording has a sharper one.
+    third = len(second[1]) // 3
+    middle = (second[0] + third / RATE, second[1][third : 2 * third], second[2][third : 2 * third])
+    best = None
+    for part in (second, middle):
+        lag, _, other = best_agreement(first, part)
+        found = _refined(first, second, lag, other)
+        best = found if best is None or (found is not None and found.peak > best.peak) else best
+        if best is not None and not best.doubt():
+            break
+    return best
 
 
 def _refined(segment: Signal, device: Signal, offset: float, second_peak: float) -> Clock | None:
     """Search ±0.5 s around an offset, with the drift that makes the thirds of the overlap agree."""
     times = device[0] + np.arange(len(device[1])) / RATE
     segment_times = segment[0] + np.arange(len(segment[1])) / RATE
-    at, rate, peak, bend, apart = float(times.mean()), 0.0, 0.0, 0.0, 0.0
+    at = float(times.mean())
+    rate, drift, bend = 0.0, 0.0, 0.0
     for _ in range(4):
         mapped = times + offset + rate * (times - at)
-        seen = np.flatnonzero((mapped >= segment_times[0]) & (mapped <= segment_times[-1]))
-        if len(seen) < 3 * RATE:
+        inside = np.flatnonzero((mapped >= segment_times[0]) & (mapped <= segment_times[-1]))
+        if len(inside) < 3 * RATE:
             return None
-        speed = np.interp(mapped, segment_times, segment[1])
-        valid = (np.interp(mapped, segment_times, segment[2].astype(float)) > 0.999) & np.isin(
-            np.arange(len(times)), seen, assume_unique=True
-        )
-        middle = float(times[seen].mean())
-        offset += rate * (middle - at)
-        at = middle
-        thirds = np.array_split(seen, 3)
-        found = [_lag(device, speed, valid, slice(part[0], part[-1] + 1)) for part in (*thirds, seen)]
-        lags = [lag for lag, _ in found]
-        peak = found[3][1]
+        moved = float(times[inside].mean()) - at
+        offset, at = offset + rate * moved, at + moved
+        # The segment's speed at the device's samples, as the clocks are believed to run.
+        speed = np.interp(mapped[inside], segment_times, segment[1])
+        valid = np.interp(mapped[inside], segment_times, segment[2].astype(float)) > _ALL_VALID
+        found = []
+        for part in (*np.array_split(np.arange(len(inside)), 3), np.arange(len(inside))):
+            there = device[1][inside[part]], device[2][inside[part]]
+            found.append(best_agreement((0.0, speed[part], valid[part]), (0.0, *there), within=_NEAR))
         # A third in which the head rests tells nothing of the drift.
-        if min(height for _, height in found[:3]) > LEAST_PEAK / 2:
-            apart = float(times[thirds[2]].mean() - times[thirds[0]].mean())
+        if min(height for _, height, _ in found[:3]) > LEAST_PEAK / 2:
+            lags = [lag for lag, _, _ in found]
+            apart = len(inside) / RATE * 2 / 3
             rate += (lags[2] - lags[0]) / apart
+            drift = rate * apart
             bend = lags[1] - (lags[0] + lags[2]) / 2
-        offset += lags[3]
-    return Clock(
-        offset=offset, at=at, rate=rate, drift=rate * apart, bend=bend, peak=peak, second_peak=max(second_peak, 0.0)
-    )
+        offset += found[3][0]
+    peaks = {"peak": found[3][1], "second_peak": second_peak}
+    return Clock(offset=offset, at=at, rate=rate, drift=drift, bend=bend, **peaks)
 
 
-def _lag(device: Signal, speed: np.ndarray, valid: np.ndarray, part: slice) -> tuple[float, float]:
-    """Return by how much the segment's speed lags behind within ±0.5 s, and the correlation there."""
-    reach = round(_NEAR * RATE)
-    a = device[1][part]
-    scores = np.full(2 * reach + 1, -1.0)
-    padded = np.pad(speed, reach)
-    known = np.pad(valid, reach)
-    for shift in range(2 * reach + 1):
-        moved = slice(part.start + shift, part.stop + shift)
-        both = device[2][part] & known[moved]
-        if both.sum() >= _LEAST_OVERLAP * len(a):
-            x, y = a[both], padded[moved][both]
-            scores[shift] = np.corrcoef(x, y)[0, 1] if x.std() > 1e-9 and y.std() > 1e-9 else -1.0
-    top = int(scores.argmax())
-    return (top + _above_sample(scores, top) - reach) / RATE, float(scores[top])
-
-
-def _above_sample(score: np.ndarray, top: int) -> float:
-    """Return how far beyond the highest sample a parabola through it and its neighbours has its top."""
-    if not 0 < top < len(score) - 1:
-        return 0.0
-    before, highest, after = score[top - 1 : top + 2]
-    bend = before - 2.0 * highest + after
-    return float(0.5 * (before - after) / bend) if bend < 0.0 and min(before, after) > -1.0 else 0.0
-
-
-def angular_speed(times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"], rate: float) -> Signal | None:
-    """Angular speed on a uniform grid; samples next to a gap in the poses are invalid. None below a second."""
-    if (times[-1] - times[0]) * rate > _LONGEST_OF_CORRELATION:
+def angular_speed(stream: PoseStream) -> Signal | None:
+    """Angular speed of a stream's valid poses at 100 Hz; samples next to a gap are invalid. None below a second."""
+    times = stream.times[stream.valid]
+    if len(times) == 0 or not 1.0 <= times[-1] - times[0] <= _LONGEST_OF_CORRELATION / RATE:
         return None
-    grid = np.arange(times[0], times[-1], 1.0 / rate)
-    if len(grid) < rate:
-        return None
-    turned = Rotation.from_quat(slerp(times, rotation, grid), scalar_first=True)
-    speed = (turned[:-1].inv() * turned[1:]).magnitude() * rate
-    right = np.clip(np.searchsorted(times, grid, side="right"), 1, len(times) - 1)
-    steady = times[right] - times[right - 1] <= LONGEST_GAP + 1e-6
+    grid = np.arange(times[0], times[-1], 1.0 / RATE)
+    turned = Rotation.from_quat(slerp(times, stream.rotation[stream.valid], grid), scalar_first=True)
+    speed = (turned[:-1].inv() * turned[1:]).magnitude() * RATE
+    steady = covered(times, np.ones(len(times), dtype=bool), grid, max_gap=LONGEST_GAP)
     valid = steady[:-1] & steady[1:]
     # A speed between two samples belongs to the middle between them.
-    return float(grid[0]) + 0.5 / rate, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * rate), valid
+    return float(grid[0]) + 0.5 / RATE, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * RATE), valid
 
 
-def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, float, float]:
+def best_agreement(first: Signal, second: Signal, *, within: float = np.inf) -> tuple[float, float, float]:
     """Normalised correlation over every lag at which at least half of the shorter signal overlaps.
 
     Mean and spread are those of the overlap itself, so that a lag at which the quiet ends meet is not preferred.
+
+    Args:
+        first: Angular speed, as :func:`angular_speed` returns it.
+        second: Another one.
+        within: Largest lag of the samples, seconds.
 
     Returns:
         Seconds by which the first signal's clock is ahead of the second's, the height of that peak, and the height of
@@ -181,7 +164,8 @@ def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, f
     masks = first[2].astype(float), second[2].astype(float)
     a, b = (signal[1] * mask for signal, mask in zip((first, second), masks, strict=True))
     count = np.rint(correlate(*masks))
-    enough = count >= _LEAST_OVERLAP * min(mask.sum() for mask in masks)
+    lags = np.arange(len(count)) - (len(b) - 1)
+    enough = (count >= _LEAST_OVERLAP * min(mask.sum() for mask in masks)) & (np.abs(lags) <= within * RATE)
     n = np.maximum(count, 1.0)
     sum_a = correlate(a, masks[1])
     sum_b = correlate(masks[0], b)
@@ -189,7 +173,12 @@ def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, f
     spread_b = np.maximum(correlate(masks[0], b * b) - sum_b**2 / n, 1e-9)
     score = np.where(enough, (correlate(a, b) - sum_a * sum_b / n) / np.sqrt(spread_a * spread_b), -1.0)
     best = int(score.argmax())
-    away = np.abs(np.arange(len(score)) - best) > _SECOND_PEAK_AWAY * rate
-    # The first score belongs to the lag -len(b) + 1.
-    lag = best - (len(b) - 1) + _above_sample(score, best)
-    return first[0] - second[0] + lag / rate, float(score[best]), float(score[away].max(initial=0.0))
+    away = np.abs(lags - lags[best]) > _SECOND_PEAK_AWAY * RATE
+    # A parabola through three samples tells where the top is.
+    lag = float(lags[best])
+    if 0 < best < len(score) - 1:
+        before, top, after = score[best - 1 : best + 2]
+        bend = before - 2.0 * top + after
+        if bend < 0.0 and min(before, after) > -1.0:
+            lag += float(0.5 * (before - after) / bend)
+    return first[0] - second[0] + lag / RATE, float(score[best]), float(score[away].max(initial=0.0))

@@ -16,10 +16,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 SPANS = (0.1, 0.5)  # s between the two instants
-LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
-LARGEST_TURN = np.deg2rad(60.0)
-_ANGLES_DIFFER = np.deg2rad(0.5)  # by so much and 5 % the two angles may differ, which do not depend on X
-_ANGLES_DIFFER_SHARE = 0.05
+TURNS = (2.0, 60.0)  # degrees; smaller turns tell more of noise than of an axis
+_ANGLES_DIFFER = (0.5, 0.05)  # degrees and share by which the two angles may differ, which do not depend on X
 _HUBER = 0.005  # m
 _ROTATION_SCALE = np.deg2rad(0.1)
 _TRANSLATION_SCALE = 0.002  # m
@@ -53,24 +51,19 @@ class Motions:
 
 
 def motions_between(
-    first: Int[np.ndarray, " n"],
-    second: Int[np.ndarray, " n"],
-    times: Float[np.ndarray, " f"],
-    device: tuple[Rotation, Float[np.ndarray, "f 3"]],
-    segment: tuple[Rotation, Float[np.ndarray, "f 3"]],
+    frames: tuple[np.ndarray, np.ndarray], times: Float[np.ndarray, " f"], *tracks: tuple[Rotation, np.ndarray]
 ) -> Motions:
     """Return the motions between pairs of frames.
 
     Args:
-        first: Frames at which the motions begin.
-        second: Frames at which they end.
+        frames: Frames at which the motions begin, and those at which they end.
         times: Time of each frame, seconds.
-        device: Rotations and positions (metres) of the device in its world, one a frame.
-        segment: Those of the segment in its own world.
+        tracks: Rotations and positions (metres) of the device, and those of the segment; each in its own world.
     """
+    first, second = frames
     turns = []
     moves = []
-    for rotation, position in (device, segment):
+    for rotation, position in tracks:
         back = rotation[first].inv()
         turns.append(back * rotation[second])
         moves.append(back.apply(position[second] - position[first]))
@@ -80,11 +73,10 @@ def motions_between(
 
 def usable(motions: Motions) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Tell which motions turn by 2° to 60°, and of which of them device and segment turn by the same angle."""
-    angle_a = np.linalg.norm(motions.turn_a, axis=1)
-    angle_b = np.linalg.norm(motions.turn_b, axis=1)
-    turning = (np.minimum(angle_a, angle_b) >= LEAST_TURN) & (np.maximum(angle_a, angle_b) <= LARGEST_TURN)
-    most = _ANGLES_DIFFER + _ANGLES_DIFFER_SHARE * np.maximum(angle_a, angle_b)
-    return turning, turning & (np.abs(angle_a - angle_b) < most)
+    angles = np.rad2deg(np.linalg.norm([motions.turn_a, motions.turn_b], axis=2))
+    smaller, larger = np.sort(angles, axis=0)
+    turning = (smaller >= TURNS[0]) & (larger <= TURNS[1])
+    return turning, turning & (larger - smaller < _ANGLES_DIFFER[0] + _ANGLES_DIFFER[1] * larger)
 
 
 def rotation_of(motions: Motions) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
@@ -129,6 +121,12 @@ def errors_of(motions: Motions, x: Transform) -> tuple[Float[np.ndarray, "n 3"],
     return turned, moved
 
 
+def sizes_of_errors(motions: Motions, x: Transform) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the sizes of :func:`errors_of` in degrees and millimetres."""
+    turned, moved = errors_of(motions, x)
+    return np.rad2deg(np.linalg.norm(turned, axis=1)), 1000.0 * np.linalg.norm(moved, axis=1)
+
+
 def in_stages(motions: Motions) -> tuple[Transform, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Return X from rotation first and translation (Huber, 5 mm) second, singular values and the normal matrix."""
     x = np.eye(4)
@@ -165,7 +163,7 @@ def closed_form(
     """
     first = np.arange(len(device) - stride)
     poses = [(Rotation.from_matrix(each[:, :, :3]), each[:, :, 3]) for each in (device, segment)]
-    motions = motions_between(first, first + stride, np.arange(len(device), dtype=float), *poses)
+    motions = motions_between((first, first + stride), np.arange(len(device), dtype=float), *poses)
     x = np.eye(4)
     x[:3, :3], _ = rotation_of(motions)
     x[:3, 3], _ = translation_of(motions, x[:3, :3])

@@ -21,7 +21,12 @@ def test_clean_tracks_give_x_and_clock():
     assert found.clock is not None
     assert found.clock.offset == pytest.approx(OFFSET, abs=1e-4)
     assert found.findings == ()
-    assert [row.stage for row in found.residuals] == ["rotation", "translation", "joint"]
+    assert [(row.stage, row.unit) for row in found.residuals] == [
+        ("rotation", "°"),
+        ("translation", "mm"),
+        ("joint", "°"),
+        ("joint", "mm"),
+    ]
 
 
 def test_noise_of_sensors_costs_hundredths_of_a_degree():
@@ -31,7 +36,7 @@ def test_noise_of_sensors_costs_hundredths_of_a_degree():
     assert translation < 5e-4
     assert found.clock is not None
     assert found.clock.offset == pytest.approx(OFFSET, abs=2e-3)
-    assert 0.05 < found.residuals[-1].rotation_p50 < 0.2
+    assert 0.05 < found.residuals[2].p50 < 0.2
     assert found.rolling_range is not None
     assert not found.moved
 

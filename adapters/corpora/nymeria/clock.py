@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
-from prbench.alignment.clock import angular_speed, best_agreement
+from prbench.alignment.clock import find_clock
 from prbench.errors import InputFileError
 from prbench.files.storage import read_json
+from prbench.recording import PoseStream
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench_adapters.corpora.nymeria.suit import CleanSuit
 
@@ -57,35 +57,28 @@ def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
 
 
 def offset_by_correlation(
-    clean: CleanSuit, time_us: np.ndarray, rotation: Float[np.ndarray, "n 4"], thresholds: Mapping[str, float]
+    clean: CleanSuit, glasses: PoseStream, thresholds: Mapping[str, float]
 ) -> tuple[ClockOffset | None, str]:
-    """Return the offset at which the suit's head turns as the glasses do.
+    """Return the offset at which the suit's head turns as the glasses do (docs/specification/alignment.md).
 
     Args:
         clean: The suit; its longest piece is used.
-        time_us: Times of the glasses' poses, microseconds, device clock.
-        rotation: Rotations of the glasses at these times, w x y z.
+        glasses: Poses on the device clock.
         thresholds: The manifest's thresholds.
 
     Returns:
         The offset, or None and why not.
     """
-    rate = thresholds["correlation_rate"]
     piece = max(clean.pieces, key=lambda piece: len(piece.joints))
     head = clean.head_rotation[piece.first : piece.stop]
-    suit = angular_speed(piece.start + np.arange(len(head)) / SUIT_RATE, head, rate)
-    glasses = angular_speed(time_us.astype(np.float64) / 1e6, rotation, rate)
-    if suit is None or glasses is None:
+    times = piece.start + np.arange(len(head)) / SUIT_RATE
+    # Where the head is does not matter to how it turns.
+    clock = find_clock(glasses, PoseStream(times, np.zeros((len(head), 3)), head, np.ones(len(head), dtype=bool)))
+    if clock is None:
         return None, "the glasses' trajectory is too short or too broken to compare head movements"
-    lag, height, second = best_agreement(suit, glasses, rate)
-    needed = thresholds["correlation_peak"]
-    ratio = thresholds["correlation_ratio"]
-    if height < needed or height < ratio * second:
-        return None, (
-            f"head movements of suit and glasses agree by {height:.2f} only"
-            f" (second peak {second:.2f}; needed {needed:g} and {ratio:g} times the second)"
-        )
-    return ClockOffset("correlation", lag, round(height, 6)), ""
+    if doubt := clock.doubt(thresholds["correlation_peak"], thresholds["correlation_ratio"]):
+        return None, f"head movements of suit and glasses agree by {doubt}"
+    return ClockOffset("correlation", clock.offset, round(clock.peak, 6)), ""
 
 
 def offset_by_starts(

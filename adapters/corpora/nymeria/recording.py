@@ -16,19 +16,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.alignment.align import align
 from prbench.errors import UsageError
 from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import Joint, y_up
-from prbench.geometry.timelines import slerp
 from prbench.protocol.manifests import digest_of, load_manifest
 from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles, read_near
+from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles
 from prbench.recording import BodyStream, GazeStream, PoseStream, Recording
 from prbench.sequences.sequence import Recording as RecordingRow
-from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
-from prbench_adapters.corpora.nymeria.files import OFFSET, TRAJECTORY
+from prbench_adapters.corpora.nymeria.devices import NymeriaTracks
+from prbench_adapters.corpora.nymeria.files import TRAJECTORY
 from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench_adapters.corpora.nymeria.suit import CleanSuit
@@ -38,52 +38,7 @@ from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
 from prbench_benchmarks.motion_prediction.table import Run
 from prbench_benchmarks.motion_prediction.windows import JointChoice, WindowsPlan, row_of, runs_of_recording
 
-_STEP = 0.1  # s between two poses whose turn is compared
-_LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
-_FEWEST_TURNS = 100
-_LARGEST_RESIDUAL = np.deg2rad(1.0)  # median; users measured 0.09 degrees at the 95th percentile of one file
-
-
-def head_from_device(
-    clean: CleanSuit, offset: ClockOffset, times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"]
-) -> tuple[Rotation | None, str]:
-    """How the glasses sit on the head segment: the X with a = X b for the turns a of the head and b of the glasses.
-
-    Args:
-        clean: The suit; its longest piece is used.
-        offset: The offset from the glasses' clock to the suit's.
-        times: Times of the glasses' poses, seconds, their own clock.
-        rotation: Rotations of the glasses at these times, w x y z.
-
-    Returns:
-        The rotation, or None and why not.
-    """
-    if offset.approximate:
-        return None, "gaze: the clocks of suit and glasses are not known well enough"
-    piece = max(clean.pieces, key=lambda each: len(each.joints))
-    head = clean.head_rotation[piece.first : piece.stop]
-    frames = np.arange(0, len(head), round(_STEP * SUIT_RATE))
-    at = piece.start + frames / SUIT_RATE - offset.seconds
-    seen = (at >= times[0]) & (at <= times[-1])
-    if seen.sum() < 2:
-        return None, "gaze: the glasses' trajectory does not overlap the suit's"
-    of_head = _turns(head[frames[seen]])
-    of_glasses = _turns(slerp(times, rotation, at[seen]))
-    # Poses that are not neighbours of one another were left out at the ends alone, so that all steps are equal.
-    large = (np.linalg.norm(of_head, axis=1) > _LEAST_TURN) & (np.linalg.norm(of_glasses, axis=1) > _LEAST_TURN)
-    if large.sum() < _FEWEST_TURNS:
-        return None, f"gaze: the head turns {int(large.sum())} times only, which does not tell how the glasses sit"
-    found = Rotation.align_vectors(of_head[large], of_glasses[large])[0]
-    residual = float(np.median(np.linalg.norm(of_head[large] - found.apply(of_glasses[large]), axis=1)))
-    if residual > _LARGEST_RESIDUAL:
-        return None, f"gaze: suit and glasses turn differently (median {np.rad2deg(residual):.1f} degrees a step)"
-    return found, ""
-
-
-def _turns(rotation: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "m 3"]:
-    """Rotation vectors from each pose to the next one, in the frame of the first."""
-    pose = Rotation.from_quat(rotation, scalar_first=True)
-    return (pose[:-1].inv() * pose[1:]).as_rotvec()
+_LEAST_OVERLAP = 10.0  # s; gaze needs the rotation alone, which short recordings tell
 
 
 def gaze_in_suit_world(
@@ -95,7 +50,7 @@ def gaze_in_suit_world(
 
     Args:
         clean: The suit.
-        head_from_glasses: See :func:`head_from_device`.
+        head_from_glasses: Rotation of the glasses in the head segment at each sample.
         times: Times of the samples, seconds on the suit's clock.
         angles: Angles of the samples, in the central pupil frame.
 
@@ -116,7 +71,7 @@ def gaze_in_suit_world(
     if valid.any():
         in_cpf = mps.gaze_directions_cpf(angles.yaw[valid], angles.pitch[valid])
         # The size of the glasses moves the pupils, and turns nothing.
-        in_head = head_from_glasses.apply(in_cpf @ mps.device_from_cpf("DVT-S")[:3, :3].T)
+        in_head = head_from_glasses[valid].apply(in_cpf @ mps.device_from_cpf("DVT-S")[:3, :3].T)
         directions[valid] = y_up(Rotation.from_quat(head[valid], scalar_first=True).apply(in_head))
     return directions, valid
 
@@ -182,22 +137,16 @@ class NymeriaWindows(NymeriaSource):
         path = self._gaze_file()
         if path is None:
             return nothing, "no gaze file beside a trajectory of the glasses"
-        thresholds = load_manifest("nymeria").thresholds
-        trajectory_path = found.require(TRAJECTORY, "the glasses' trajectory")
-        poses = read_near(trajectory_path, np.zeros(0, dtype=np.int64), thresholds["correlation_rate"])
         # The user's own offset, or that at which suit and glasses turn alike; texts are not needed for either.
-        own = found.path(OFFSET)
-        offset = None if own is None else offset_from_file(own, found.recording_id)
-        if offset is None:
-            offset, message = offset_by_correlation(clean, poses.time_us, poses.rotation, thresholds)
-            if offset is None:
-                return nothing, message
-        mounted, message = head_from_device(clean, offset, poses.time_us / 1e6, poses.rotation)
-        if mounted is None:
-            return nothing, message
+        tracks = NymeriaTracks(found).read()
+        mounted = align(tracks.device, tracks.segment, offset=tracks.offset, least_overlap=_LEAST_OVERLAP)
+        if mounted.clock is None or mounted.device_from_segment is None:
+            return nothing, f"gaze: {mounted.refused}"
         angles = read_gaze_angles(path)
-        times = angles.time_us / 1e6 + offset.seconds
-        directions, valid = gaze_in_suit_world(clean, mounted, times, angles)
+        device_times = angles.time_us / 1e6
+        times = mounted.clock.to_segment(device_times)
+        head_from_glasses = Rotation.from_matrix(mounted.x_at(device_times)[:, :3, :3]).inv()
+        directions, valid = gaze_in_suit_world(clean, head_from_glasses, times, angles)
         # Nothing of motion prediction needs where gaze comes from.
         return GazeStream(times, np.zeros((len(times), 3)), directions, valid), ""
 

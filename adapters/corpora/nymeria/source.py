@@ -16,13 +16,13 @@ from prbench.limits import HARMLESS_SIZE, LARGEST_UNPACKED
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import ReaderOptions, RecordingFiles, require_one_origin
-from prbench.readers.aria_mps.files import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.sequences.corpus import Annotation, Caption, Clip
 from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.nymeria import clock as clocks
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
+from prbench_adapters.corpora.nymeria.devices import device_stream
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece, clean_suit, read_suit
@@ -236,11 +236,11 @@ class NymeriaSource(corpora.CorpusRecording):
         path = self.found.path(TRAJECTORY)
         if path is not None:
             try:
-                trajectory = read_near(path, np.zeros(0, dtype=np.int64), thresholds["correlation_rate"])
-                offset, why = clocks.offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
+                glasses = device_stream(path)
+                offset, why = clocks.offset_by_correlation(clean, glasses, thresholds)
                 if offset is not None:
                     # Where the trajectory ends before the suit does, what follows was not used for the clock.
-                    missing = clean.span[1] - offset.seconds - trajectory.time_us[-1] * 1e-6
+                    missing = clean.span[1] - offset.seconds - glasses.times[-1]
                     cut = f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off"
                     return offset, [cut] if missing > SEVERAL_SENSORS else []
             except InputFileError as error:  # texts may still be placed by their starts

@@ -13,6 +13,7 @@ from scipy.special import expit
 from prbench.alignment.clock import angular_speed, best_agreement
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
+from prbench.recording import PoseStream
 from prbench_adapters.corpora.nymeria.clock import (
     offset_by_correlation,
     offset_by_starts,
@@ -44,18 +45,22 @@ def suit_with(head: np.ndarray):
     return clean_suit(replace(suit, rotation=rotation), load_manifest("nymeria"), path="x")
 
 
-def glasses(head: np.ndarray, *, first: int = 0, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def glasses(head: np.ndarray, *, first: int = 0, noise: float = 0.0) -> PoseStream:
     """Poses of the same head on the device clock, in another frame, with another mounting."""
     mounting = Rotation.from_euler("xyz", [0.4, -1.1, 0.2])
     turned = Rotation.from_euler("z", 2.0) * Rotation.from_quat(head, scalar_first=True) * mounting
     shaken = turned * Rotation.from_rotvec(noise * named_generator("test-clock-noise").normal(size=(len(head), 3)))
     times = START_US / 1e6 - OFFSET + np.arange(len(head)) / RATE
-    return np.rint(times[first:] * 1e6).astype(np.int64), shaken.as_quat(scalar_first=True)[first:]
+    return stream(times[first:], shaken.as_quat(scalar_first=True)[first:])
+
+
+def stream(times: np.ndarray, rotation: np.ndarray) -> PoseStream:
+    return PoseStream(times, np.zeros((len(times), 3)), rotation, np.ones(len(times), dtype=bool))
 
 
 def test_the_offset_of_the_same_head_is_found_whatever_the_mounting():
     head = turning(60.0)
-    offset, why = offset_by_correlation(suit_with(head), *glasses(head), THRESHOLDS)
+    offset, why = offset_by_correlation(suit_with(head), glasses(head), THRESHOLDS)
     assert offset is not None, why
     assert offset.method == "correlation"
     assert not offset.approximate
@@ -64,13 +69,13 @@ def test_the_offset_of_the_same_head_is_found_whatever_the_mounting():
 
 def test_noise_and_a_late_start_of_the_glasses_move_the_offset_by_a_frame_at_most():
     head = turning(90.0)
-    offset, why = offset_by_correlation(suit_with(head), *glasses(head, first=4000, noise=2e-4), THRESHOLDS)
+    offset, why = offset_by_correlation(suit_with(head), glasses(head, first=4000, noise=2e-4), THRESHOLDS)
     assert offset is not None, why
     assert offset.seconds == pytest.approx(OFFSET, abs=1 / RATE)
 
 
 def test_another_head_is_refused_with_numbers():
-    offset, why = offset_by_correlation(suit_with(turning(60.0)), *glasses(turning(60.0, "somebody else")), THRESHOLDS)
+    offset, why = offset_by_correlation(suit_with(turning(60.0)), glasses(turning(60.0, "somebody else")), THRESHOLDS)
     assert offset is None
     assert "agree by" in why
     assert "needed 0.8" in why
@@ -79,7 +84,7 @@ def test_another_head_is_refused_with_numbers():
 def test_a_rhythm_has_no_single_offset():
     times = np.arange(60 * 240) / RATE
     head = Rotation.from_euler("z", 0.4 * np.sin(2 * np.pi * times / 3.0)[:, None]).as_quat(scalar_first=True)
-    offset, why = offset_by_correlation(suit_with(head), *glasses(head), THRESHOLDS)
+    offset, why = offset_by_correlation(suit_with(head), glasses(head), THRESHOLDS)
     assert offset is None
     assert "second peak" in why
 
@@ -87,12 +92,12 @@ def test_a_rhythm_has_no_single_offset():
 def test_correlation_equals_a_slow_loop_over_lags():
     rng = named_generator("test-clock-loop")
     long = rng.normal(size=400)
-    one = angular_speed(np.arange(401) / 100.0, np.tile([1.0, 0, 0, 0], (401, 1)), 100.0)
+    one = angular_speed(stream(np.arange(401) / 100.0, np.tile([1.0, 0, 0, 0], (401, 1))))
     assert one is not None
     first = (one[0], long, np.ones(400, dtype=bool))
     valid = rng.random(250) > 0.1
     second = (7.0, long[90:340] + 0.3 * rng.normal(size=250), valid)
-    lag_found, height, other = best_agreement(first, second, 100.0)
+    lag_found, height, other = best_agreement(first, second)
     scores = {}
     for lag in range(-249, 400):
         pairs = [(long[i + lag], second[1][i]) for i in range(250) if valid[i] and 0 <= i + lag < 400]
@@ -107,10 +112,10 @@ def test_correlation_equals_a_slow_loop_over_lags():
 
 def test_a_gap_of_the_glasses_does_not_count_as_standing_still():
     head = turning(60.0)
-    times, rotation = glasses(head)
-    keep = np.ones(len(times), dtype=bool)
+    worn = glasses(head)
+    keep = np.ones(len(worn.times), dtype=bool)
     keep[5000:7000] = False
-    offset, why = offset_by_correlation(suit_with(head), times[keep], rotation[keep], THRESHOLDS)
+    offset, why = offset_by_correlation(suit_with(head), stream(worn.times[keep], worn.rotation[keep]), THRESHOLDS)
     assert offset is not None, why
     assert offset.seconds == pytest.approx(OFFSET, abs=2e-3)
 

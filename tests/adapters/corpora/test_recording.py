@@ -14,8 +14,7 @@ from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps import format as mps
-from prbench_adapters.corpora.nymeria.clock import ClockOffset
-from prbench_adapters.corpora.nymeria.recording import gaze_in_suit_world, head_from_device, plan_windows
+from prbench_adapters.corpora.nymeria.recording import gaze_in_suit_world, plan_windows
 from prbench_adapters.corpora.nymeria.suit import clean_suit
 from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.table import WindowsTable
@@ -23,7 +22,6 @@ from prbench_benchmarks.motion_prediction.windows import build_windows
 from tests.adapters.corpora.suits import START_US, walking_suit, write_arrays
 from tests.readers.mps_files import COLUMNS, WORLD, write_lines
 
-OFFSET = ClockOffset("file", -3.0)
 MOUNTED = Rotation.from_euler("xyz", [20.0, -70.0, 110.0], degrees=True)  # head from glasses
 OTHER_WORLD = Rotation.from_euler("z", 40.0, degrees=True)  # the glasses' world has another heading
 
@@ -36,34 +34,6 @@ def clean():
     rotation = suit.rotation.copy()
     rotation[:, XSENS_SEGMENTS.index("Head")] = Rotation.from_rotvec(about).as_quat(scalar_first=True)
     return clean_suit(replace(suit, rotation=rotation), load_manifest("nymeria"), path="xdata.npz")
-
-
-def _glasses(clean):
-    """Times on the glasses' clock and their rotations, device to their world."""
-    piece = clean.pieces[0]
-    frames = np.arange(0, piece.stop - piece.first, 2)
-    times = piece.start + frames / 240.0 - OFFSET.seconds
-    head = Rotation.from_quat(clean.head_rotation[piece.first + frames], scalar_first=True)
-    return times, (OTHER_WORLD * head * MOUNTED).as_quat(scalar_first=True)
-
-
-def test_how_the_glasses_sit_is_found_from_turns_alone(clean):
-    found, message = head_from_device(clean, OFFSET, *_glasses(clean))
-    assert found is not None, message
-    assert (found.inv() * MOUNTED).magnitude() < np.deg2rad(0.1)
-
-
-def test_glasses_that_turn_otherwise_give_no_gaze(clean):
-    times, rotation = _glasses(clean)
-    found, message = head_from_device(clean, OFFSET, times, rotation[::-1])
-    assert found is None
-    assert "turn differently" in message
-
-
-def test_a_clock_that_was_guessed_gives_no_gaze(clean):
-    found, message = head_from_device(clean, ClockOffset("start_alignment", -3.0), *_glasses(clean))
-    assert found is None
-    assert "clocks" in message
 
 
 def test_a_fixed_point_in_the_distance_is_seen_in_one_direction_of_the_suits_world(clean):
@@ -80,7 +50,7 @@ def test_a_fixed_point_in_the_distance_is_seen_in_one_direction_of_the_suits_wor
     angles = mps.GazeAngles(
         (times * 1e6).astype(np.int64), yaw, pitch, nothing, np.zeros((len(times), 2)), np.zeros((len(times), 2))
     )
-    directions, valid = gaze_in_suit_world(clean, MOUNTED, times, angles)
+    directions, valid = gaze_in_suit_world(clean, Rotation.concatenate([MOUNTED] * len(times)), times, angles)
     assert 10 < valid.sum() < len(times)  # where the head turns away by more than 60 degrees nothing is measured
     assert np.allclose(directions[valid], y_up(target), atol=1e-6)
     assert np.allclose(directions[~valid], [0.0, 0.0, 1.0])
@@ -91,7 +61,7 @@ def test_gaze_outside_the_suits_time_is_not_measured(clean):
     times = np.array([piece.start - 1.0, piece.end + 1.0])
     none = np.zeros(2)
     angles = mps.GazeAngles(np.zeros(2, dtype=np.int64), none, none, none, np.zeros((2, 2)), np.zeros((2, 2)))
-    _, valid = gaze_in_suit_world(clean, MOUNTED, times, angles)
+    _, valid = gaze_in_suit_world(clean, Rotation.concatenate([MOUNTED] * len(times)), times, angles)
     assert not valid.any()
 
 
@@ -138,10 +108,11 @@ def with_glasses(folder, suit):
     rotation[:, XSENS_SEGMENTS.index("Head")] = head.as_quat(scalar_first=True)
     write_arrays(folder / "body" / "xdata.npz", replace(suit, rotation=rotation))
     glasses = (OTHER_WORLD * head * MOUNTED).as_quat(scalar_first=True)
+    ridden = OTHER_WORLD.apply(suit.position[:, XSENS_SEGMENTS.index("Head")])
     times = suit.time_us - round(CLOCKS_APART * 1e6)
     lines = [",".join(COLUMNS)]
     for row in range(0, len(times), 2):
-        cells = [WORLD, times[row], -1, 0.0, 0.0, 1.6, *glasses[row], 0.0, 0, 0, -9.81, 1.0, 0]
+        cells = [WORLD, times[row], -1, *ridden[row], *glasses[row], 0.0, 0, 0, -9.81, 1.0, 0]
         lines.append(",".join(str(cell) for cell in cells))
     mps_folder = folder / "recording_head" / "mps"
     write_lines(mps_folder / "slam" / "closed_loop_trajectory.csv", lines)
