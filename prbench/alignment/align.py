@@ -23,7 +23,7 @@ LEAST_OVERLAP = 60.0  # s
 LEAST_SINGULAR_RATIO = 0.05
 WINDOW = 120.0  # s
 WINDOW_STEP = 5.0  # s
-SLIPPED_BY = (2.0, 0.02)  # degrees, metres: glasses that moved by more are another mounting
+SLIPPED_BY = np.array([2.0, 0.02])  # degrees, metres: glasses that moved by more are mounted otherwise
 _FRAME = 1 / 240.0  # s of drift below which a clock counts as steady
 _HIGHEST_RATE = 120.0  # Hz of frames between which motions are taken
 _MOST_STARTS = 60_000  # motions of a span; a longer recording is looked at less densely
@@ -79,12 +79,12 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     kept: float = 0.0
     n_motions: int = 0
     singular_ratio: float | None = None
-    condition: float | None = None
-    weakest_direction: tuple[float, float, float] | None = None
+    condition: float = 0.0
+    weakest_direction: tuple[float, ...] = ()
     device_from_segment: tuple[tuple[float, float, float, float], ...] | None = None
     residuals: tuple[Residual, ...] = ()
     rolling: tuple[tuple[float, ...], ...] = ()
-    rolling_range: tuple[float, float] | None = None
+    rolling_range: tuple[float, float] = (0.0, 0.0)
     slips: tuple[Slip, ...] = ()
     findings: tuple[str, ...] = ()
 
@@ -107,7 +107,7 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def moved(self) -> bool:
         """Return True where X changed by more than 2° or 2 cm over time."""
-        return self.rolling_range is not None and _exceeds(*self.rolling_range)
+        return bool((np.array(self.rolling_range) > SLIPPED_BY).any())
 
     def segment_in_world(self, device: PoseStream) -> PoseStream:
         """Return the segment in the device's world at the device's times: T_WD · X."""
@@ -139,8 +139,8 @@ def align(
     chosen = motions[agreeing if agreeing.sum() >= _FEWEST_MOTIONS else slice(None)]
     singular = hand_eye.rotation_of(chosen)[1]
     ratio = float(singular[1] / max(singular[0], 1e-12))
-    counts = {"kept": float(agreeing.sum() / max(turning.sum(), 1)), "n_motions": int(agreeing.sum())}
-    known: dict[str, Any] = {"overlap": overlap, "clock": clock, "singular_ratio": ratio} | counts
+    known: dict[str, Any] = {"overlap": overlap, "clock": clock, "singular_ratio": ratio}
+    known |= {"kept": float(agreeing.sum() / max(turning.sum(), 1)), "n_motions": int(agreeing.sum())}
     share = f"{int(turning.sum())} of {len(motions)} relative motions turn by 2° to 60°, device and segment alike in"
     named = f"{share} {int(agreeing.sum())}; σ₂/σ₁ = {ratio:.3f}"
     refused = ""
@@ -173,16 +173,15 @@ def align(
         apart = f"median {residuals[2].p50:.1f}° a motion; {_LARGEST_RESIDUAL:g}° at most"
         return Alignment(refused=f"device and segment turn about different axes ({apart})", **known)
     values, vectors = np.linalg.eigh(normal)
-    known["condition"] = float(np.sqrt(values[2] / max(values[0], 1e-12)))
-    known["weakest_direction"] = tuple(vectors[:, 0].tolist())
-    known["rolling"] = tuple(row for each in stretches if len(each) for row in _rolling(each, start_rate))
-    rows = np.array(known["rolling"]).reshape(-1, 8)
+    rolling = tuple(row for each in stretches if len(each) for row in _rolling(each, start_rate))
+    rows = np.array(rolling).reshape(-1, 8)
     # The largest difference between two windows.
     nearest = min((float(np.abs(rows[:, 1:5] @ row[1:5]).min()) for row in rows), default=1.0)
     farthest = max((float(np.linalg.norm(rows[:, 5:] - row[5:], axis=1).max()) for row in rows), default=0.0)
+    known |= {"condition": float(np.sqrt(values[2] / max(values[0], 1e-12))), "slips": slips, "rolling": rolling}
     known["rolling_range"] = (float(np.rad2deg(2 * np.arccos(min(nearest, 1.0)))), farthest)
-    known["device_from_segment"] = tuple(map(tuple, x.tolist()))
-    found = Alignment(**known, residuals=tuple(residuals), slips=slips)
+    known |= {"weakest_direction": tuple(vectors[:, 0].tolist()), "residuals": tuple(residuals)}
+    found = Alignment(device_from_segment=tuple(map(tuple, x.tolist())), **known)
     return msgspec.structs.replace(found, findings=_findings(found, clock))
 
 
@@ -219,21 +218,19 @@ def _between(motions: Motions, start: float, end: float) -> Motions:
     return motions[slice(*np.searchsorted(motions.times, [start, end - max(hand_eye.SPANS)]))]
 
 
-def _estimate(motions: Motions, start_rate: float) -> tuple[Transform, float, float] | None:
-    """Return X of some motions, and what it may be wrong by (degrees, metres); None where it is not observed."""
+def _estimate(motions: Motions, start_rate: float) -> tuple[Transform, np.ndarray] | None:
+    """Return X of some motions, and its standard errors (degrees, metres); None where it is not observed."""
     if len(motions) < _FEWEST_MOTIONS:
         return None
     x, singular, normal = hand_eye.in_stages(motions)
     if singular[1] < LEAST_SINGULAR_RATIO * singular[0]:
         return None
-    turned, moved = hand_eye.errors_of(motions, x)
-    about = motions.turn_b
-    turning = np.eye(3) * (about**2).sum() - about.T @ about
+    turning = np.eye(3) * (motions.turn_b**2).sum() - motions.turn_b.T @ motions.turn_b
     # Motions that overlap share their errors: as many as begin within the longest span count as one.
-    shared = np.sqrt(start_rate * max(hand_eye.SPANS))
-    spread = [1.48 * float(np.median(np.abs(errors))) * shared for errors in (turned, moved)]
+    shared = 1.48 * np.sqrt(start_rate * max(hand_eye.SPANS))
+    spread = [float(np.median(np.abs(errors))) * shared for errors in hand_eye.errors_of(motions, x)]
     least = [max(float(np.linalg.eigvalsh(matrix)[0]), 1e-12) for matrix in (turning, normal)]
-    return x, float(np.rad2deg(spread[0] / np.sqrt(least[0]))), spread[1] / float(np.sqrt(least[1]))
+    return x, np.array([np.rad2deg(spread[0]), spread[1]]) / np.sqrt(least)
 
 
 def _slips(motions: Motions, start: float, end: float, start_rate: float) -> tuple[Slip, ...]:
@@ -245,32 +242,27 @@ def _slips(motions: Motions, start: float, end: float, start_rate: float) -> tup
         if before is None or after is None:
             continue
         change = _change(before[0], after[0])
-        sizes = [each / limit for each, limit in zip(change, SLIPPED_BY, strict=True)]
-        sure = [each > _SURE * np.hypot(*pair) for each, pair in zip(change, zip(before[1:], after[1:]), strict=True)]
-        size = max((each for each, certain in zip(sizes, sure, strict=True) if certain), default=0.0)
+        size = float(np.where(change > _SURE * np.hypot(before[1], after[1]), change / SLIPPED_BY, 0.0).max())
         if size > max(1.0, best[0] if best else 0.0):
             best = (size, float(instant), before[0], after[0])
     if best is None:
         return ()
     # The instant at which changing from the one X to the other leaves the least errors.
     around = _between(motions, max(start, best[1] - WINDOW / 2), min(end, best[1] + WINDOW / 2))
-    costs = []
-    for x in best[2:]:
-        turned, moved = hand_eye.sizes_of_errors(around, x)
-        costs.append(np.minimum(turned / SLIPPED_BY[0] + moved / SLIPPED_BY[1] / 1000, 1.0))
+    errors = [np.stack(hand_eye.sizes_of_errors(around, x), axis=1) / SLIPPED_BY / [1, 1000] for x in best[2:]]
+    costs = [np.minimum(each.sum(axis=1), 1.0) for each in errors]
     place = int(np.argmin(np.cumsum(costs[0] - costs[1])))
     time = float(np.clip(around.times[place], start + _SHORTEST_SIDE / 2, end - _SHORTEST_SIDE / 2))
     sides = [_between(motions, max(start, time - WINDOW), time), _between(motions, time, min(end, time + WINDOW))]
-    rotation, translation = _change(*(hand_eye.in_stages(side)[0] for side in sides))
-    earlier = _slips(motions, start, time, start_rate)
+    rotation, translation = _change(*(hand_eye.in_stages(side)[0] for side in sides)).tolist()
     slip = Slip(time=time, rotation=rotation, translation=translation)
-    return (*earlier, slip, *_slips(motions, time, end, start_rate))
+    return (*_slips(motions, start, time, start_rate), slip, *_slips(motions, time, end, start_rate))
 
 
-def _change(before: Transform, after: Transform) -> tuple[float, float]:
+def _change(before: Transform, after: Transform) -> np.ndarray:
     """Return the degrees and metres between two X."""
     turn = np.rad2deg(Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude())
-    return float(turn), float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+    return np.array([turn, np.linalg.norm(after[:3, 3] - before[:3, 3])])
 
 
 def _rolling(stretch: Motions, start_rate: float) -> list[tuple[float, ...]]:
@@ -280,35 +272,25 @@ def _rolling(stretch: Motions, start_rate: float) -> list[tuple[float, ...]]:
     for time in (*np.arange(start, end, WINDOW_STEP), end):
         first = max(start, min(time - WINDOW / 2, end - WINDOW))
         estimate = _estimate(_between(stretch, first, first + WINDOW), start_rate)
-        if estimate is not None and not _exceeds(2 * estimate[1], 2 * estimate[2]):
+        if estimate is not None and (2 * estimate[1] <= SLIPPED_BY).all():
             turn = Rotation.from_matrix(estimate[0][:3, :3]).as_quat(canonical=True, scalar_first=True)
             rows.append((float(time), *turn.tolist(), *estimate[0][:3, 3].tolist()))
     return rows
 
 
-def _exceeds(rotation: float, translation: float) -> bool:
-    return rotation > SLIPPED_BY[0] or translation > SLIPPED_BY[1]
-
-
 def _findings(found: Alignment, clock: Clock) -> tuple[str, ...]:
     """Return sentences about what a user should look at."""
     drift = f"{1000 * clock.drift:.1f} ms from the first third to the last ({1e6 * clock.rate:.0f} ppm)"
-    degrees, metres = found.rolling_range or (0.0, 0.0)
-    along = ", ".join(f"{value:.2f}" for value in found.weakest_direction or ())
-    slipped = [
-        f"the device moved against the segment by {slip.rotation:.1f}° and {100 * slip.translation:.1f} cm"
-        f" at {slip.time:.1f} s of its clock"
-        for slip in found.slips
-    ]
-    sentences = {
+    along = ", ".join(f"{value:.2f}" for value in found.weakest_direction)
+    creep = f"{found.rolling_range[0]:.1f}° and {100 * found.rolling_range[1]:.1f} cm"
+    said = {
         f"the clocks drift: {drift}, which is taken out": abs(clock.drift) > _FRAME,
         f"the clocks drift unevenly: the middle third is off by {1000 * clock.bend:.1f} ms": abs(clock.bend) > _FRAME,
-        f"the device creeps against the segment: up to {degrees:.1f}° and {100 * metres:.1f} cm between two windows": (
-            found.moved and not slipped
-        ),
-        f"turns are nearly planar: the translation along ({along}) of the device is known least": (
-            (found.condition or 0.0) > _NEARLY_PLANAR
-        ),
+        f"the device creeps: up to {creep} between two windows": found.moved and not found.slips,
+        f"turns are nearly planar: the translation along ({along}) is uncertain": found.condition > _NEARLY_PLANAR,
         f"device and segment turn by the same angle in {found.kept:.0%} of the motions only": found.kept < _FEW_AGREE,
     }
-    return (*slipped, *(sentence for sentence, holds in sentences.items() if holds))
+    for slip in found.slips:
+        by = f"{slip.rotation:.1f}° and {100 * slip.translation:.1f} cm"
+        said[f"the device moved against the segment by {by} at {slip.time:.1f} s of its clock"] = True
+    return tuple(sentence for sentence, holds in said.items() if holds)

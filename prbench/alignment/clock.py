@@ -114,14 +114,13 @@ def _refined(segment: Signal, device: Signal, offset: float, second_peak: float)
             there = device[1][inside[part]], device[2][inside[part]]
             found.append(best_agreement((0.0, speed[part], valid[part]), (0.0, *there), within=_NEAR))
         # A third in which the head rests tells nothing of the drift.
-        if min(height for _, height, _ in found[:3]) > LEAST_PEAK / 2:
-            lags = [lag for lag, _, _ in found]
+        lags, heights, _ = zip(*found, strict=True)
+        if min(heights[:3]) > LEAST_PEAK / 2:
             apart = len(inside) / RATE * 2 / 3
             rate += (lags[2] - lags[0]) / apart
-            drift = rate * apart
-            bend = lags[1] - (lags[0] + lags[2]) / 2
-        offset += found[3][0]
-    peaks = {"peak": found[3][1], "second_peak": second_peak}
+            drift, bend = rate * apart, lags[1] - (lags[0] + lags[2]) / 2
+        offset += lags[3]
+    peaks = {"peak": heights[3], "second_peak": second_peak}
     return Clock(offset=offset, at=at, rate=rate, drift=drift, bend=bend, **peaks)
 
 

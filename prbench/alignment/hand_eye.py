@@ -3,7 +3,7 @@
 A is the motion of the device between two instants, in the device's frame at the first; B that of the segment; X maps
 coordinates of the segment to those of the device. Worlds drop out, so that neither has to be known.
 
-The functions whose names begin with ``closed_form`` do what the published program does, without selection.
+:func:`closed_form` does what the published program does, without selection.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -168,23 +168,3 @@ def closed_form(
     x[:3, :3], _ = rotation_of(motions)
     x[:3, 3], _ = translation_of(motions, x[:3, :3])
     return x
-
-
-def closed_form_windows(
-    device: Float[np.ndarray, "n 3 4"], segment: Float[np.ndarray, "n 3 4"], *, window: int, skip: int, stride: int = 2
-) -> Float[np.ndarray, "m 4 4"]:
-    """Return :func:`closed_form` of windows around the poses 0, ``skip``, 2 · ``skip`` and so on.
-
-    Windows are moved inside the recording; those that touch its end lack the last pose, as in the published program.
-    """
-    estimates = []
-    for centre in range(0, len(device), skip):
-        start = max(centre - window // 2, 0)
-        start, stop = (start, start + window) if start + window < len(device) else (len(device) - window, -1)
-        estimates.append(closed_form(device[start:stop], segment[start:stop], stride=stride))
-    return np.stack(estimates)
-
-
-def window_used(query: Float[np.ndarray, " q"], centres: Float[np.ndarray, " m"]) -> Int[np.ndarray, " q"]:
-    """Return which window the published program uses at each time: the first whose centre is not before it."""
-    return np.minimum(np.searchsorted(centres, query), len(centres) - 1)

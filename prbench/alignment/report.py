@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,9 +21,7 @@ from prbench.errors import PrbenchError, RecordingUnusable
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import covered
 from prbench.readers import Reader, RecordingFiles, reader_for
-from prbench.readers.egoallo.bodies import read_output
-from prbench.readers.egoallo.files import OUTPUT_ROLE
-from prbench.readers.egoallo.format import SAME_FRAME_NS, EgoAlloOutput
+from prbench.readers.egoallo import bodies, files, format
 from prbench.recording import PoseStream, Recording
 
 _DISTANCE_RATE = 10.0  # Hz
@@ -40,7 +38,7 @@ class Tracks:
         device: Poses of the glasses.
         segment: Poses of the segment that carries them.
         offset: Segment's clock minus the glasses' where it is known to half a second; None searches it.
-        wrists: Maps a side to a wristband, in the world of the glasses, and the segment of the hand beside it.
+        wrists: Sides, wristbands in the world of the glasses, and segments of the hands; read one after the other.
         one_world: Glasses and segment are in one world and on one clock.
         messages: Sentences about what is missing.
         refused: Reason why the segment's rotations are none.
@@ -50,7 +48,7 @@ class Tracks:
     device: PoseStream
     segment: PoseStream
     offset: float | None = None
-    wrists: Mapping[str, tuple[PoseStream, PoseStream]] = field(default_factory=dict)
+    wrists: Iterable[tuple[str, PoseStream, PoseStream]] = ()
     one_world: bool = False
     messages: tuple[str, ...] = ()
     refused: str = ""
@@ -137,7 +135,7 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
         sizes = sizes_of_errors(motions, np.array(found.device_from_segment))
         lines |= {name: (motions.times, each) for name, each in zip(("° a motion", "mm a motion"), sizes, strict=True)}
         on_device = clock.to_device(on_segment)
-        for side, (band, hand) in tracks.wrists.items():
+        for side, band, hand in tracks.wrists:
             own = find_clock(band, hand)
             if own is None or own.doubt():
                 doubt = "too few poses" if own is None else own.doubt()
@@ -147,6 +145,9 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
             measured[side] += [(tracks.device, on_device), (tracks.segment, on_segment)]
     for name, streams in measured.items():
         there = np.all([covered(each.times, each.valid, at, max_gap=LONGEST_GAP) for each, at in streams], axis=0)
+        if not there.any():
+            distances.append(Distance(of=name, refused="the tracks have no time in common"))
+            continue
         (place, _), (other, _), *glasses_and_head = [each.pose_at(at[there]) for each, at in streams]
         if glasses_and_head:
             # The hand from the suit's world to that of the glasses: T_WD · X · T_OH⁻¹.
@@ -157,18 +158,9 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
             other = glasses[0] + Rotation.from_quat(glasses[1], scalar_first=True).apply(on_glasses)
         away = 100.0 * np.linalg.norm(other - place, axis=1)
         lines[name] = (streams[0 if name == "head" else 2][1][there], away)
-        known = len(away) > 0
-        mean, deviation = (float(away.mean()), float(away.std())) if known else (None, None)
-        refused = "" if known else "the tracks have no time in common"
-        distances.append(Distance(of=name, mean_cm=mean, deviation_cm=deviation, refused=refused))
-    report = AlignedRecording(
-        recording_id=source.recording_id,
-        compared=tracks.compared,
-        alignment=found,
-        distances=tuple(distances),
-        messages=tracks.messages,
-    )
-    return report, lines
+        distances.append(Distance(of=name, mean_cm=float(away.mean()), deviation_cm=float(away.std())))
+    shown = {"compared": tracks.compared, "messages": tracks.messages, "distances": tuple(distances)}
+    return AlignedRecording(recording_id=source.recording_id, alignment=found, **shown), lines
 
 
 @dataclass(frozen=True)
@@ -192,17 +184,17 @@ class ReadTracks:
         body = recording.body
         if body is None or not body.valid.any():
             raise RecordingUnusable(f"{name}: no body to compare with the glasses. {'; '.join(recording.messages)}")
-        outputs = [file.path for file in self.found.files if file.role.startswith(OUTPUT_ROLE)]
+        outputs = [file.path for file in self.found.files if file.role.startswith(files.OUTPUT_ROLE)]
         turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.times), 1))
         what: dict[str, Any] = {"compared": "glasses and the body's head joint", "refused": _POSITIONS_ALONE}
         if outputs and recording.pose_source == "egoallo":
-            turned = egoallo_heads([read_output(path) for path in outputs], recording)
+            turned = egoallo_heads([bodies.read_output(path) for path in outputs], recording)
             what = {"compared": "glasses and EgoAllo's head joint", "offset": 0.0}
         segment = PoseStream(body.times, body.joints[:, Joint.HEAD], turned, body.valid)
         return Tracks(device=recording.head, segment=segment, one_world=True, messages=recording.messages, **what)
 
 
-def egoallo_heads(outputs: list[EgoAlloOutput], recording: Recording) -> Float[np.ndarray, "n 4"]:
+def egoallo_heads(outputs: list[format.EgoAlloOutput], recording: Recording) -> Float[np.ndarray, "n 4"]:
     """Return the rotation of EgoAllo's head joint in the recording's world, w x y z, at the times of its body.
 
     Raises:
@@ -215,7 +207,7 @@ def egoallo_heads(outputs: list[EgoAlloOutput], recording: Recording) -> Float[n
     for joint in _TO_HEAD:
         local = np.concatenate([window.body_quats[0, :, joint - 1] for window in outputs])
         turned = turned * Rotation.from_quat(local, scalar_first=True)
-    kept = order[np.diff(time_ns[order], prepend=time_ns.min() - 2 * SAME_FRAME_NS) > SAME_FRAME_NS]
+    kept = order[np.diff(time_ns[order], prepend=time_ns.min() - 2 * format.SAME_FRAME_NS) > format.SAME_FRAME_NS]
     if recording.body is None or len(kept) != len(recording.body.times):
         raise RecordingUnusable(f"{recording.recording_id}: EgoAllo's windows do not join into the recording's body.")
     world = Rotation.from_matrix(recording.world_from_source[:3, :3])

@@ -52,11 +52,11 @@ def align(*, dataset: str, root: Path, out: Path | None, workers: int, **chosen:
             if found.clock is not None and not found.refused:
                 joint = [f"{row.p50:.2f} / {row.p95:.2f}" for row in found.residuals[2:]]
                 numbers = [f"{found.clock.offset:.4f}", f"{1e3 * found.clock.drift:.1f}", *joint]
-            away = [f"{it.of} {it.mean_cm:.1f}, {it.deviation_cm:.1f}" for it in each.distances if not it.refused]
-            rows.append((each.recording_id, *numbers, "; ".join(away) or "–"))
-            doubts = [f"{it.of}: {it.refused}" for it in each.distances if it.refused]
-            for said in (*filter(None, [found.refused and f"refused: {found.refused}"]), *found.findings, *doubts):
-                note(f"{each.recording_id}: {said}")
+            away = [it.refused or f"{it.mean_cm:.1f}, {it.deviation_cm:.1f}" for it in each.distances]
+            said = [f"{it.of} {text}" for it, text in zip(each.distances, away, strict=True)]
+            rows.append((each.recording_id, *numbers, "; ".join(said) or "–"))
+            for sentence in filter(None, (found.refused, *found.findings)):
+                note(f"{each.recording_id}: {sentence}")
         print_table(f"{dataset}: {reports[0].compared}", _HEADER, rows, numbers=(1, 2))
 
     return Answer(reports, show, NOT_EVERYTHING if any(each.alignment.refused for each in reports) else 0)

@@ -45,8 +45,7 @@ def draw_alignment(report: AlignedRecording, evidence: Evidence, path: Path) -> 
         times, speed = lines["device"]
         fastest = times[speed.argmax()]
         for name in lines.keys() & {"device", "segment"}:
-            shown = np.abs(lines[name][0] - fastest) <= _SHOWN / 2
-            lines[name] = (lines[name][0][shown], lines[name][1][shown])
+            lines[name] = tuple(each[np.abs(lines[name][0] - fastest) <= _SHOWN / 2] for each in lines[name])
     start = min((float(times[0]) for times, _ in evidence.values() if len(times)), default=0.0)
     figure = new_figure(7.0, 5.6, layout="constrained")
     for panel, (title, names) in zip(figure.subplots(len(_PANELS), 1), _PANELS, strict=True):
@@ -58,7 +57,7 @@ def draw_alignment(report: AlignedRecording, evidence: Evidence, path: Path) -> 
         for slip in found.slips if panel.lines and "a " not in title[:2] else ():
             panel.axvline(slip.time - start, color="0.3", linestyle=":", linewidth=0.9)
         if panel.lines:
-            panel.set_yscale("log" if names[0] in lines and "motion" in names[0] else "linear")
+            panel.set_yscale("log" if "motion" in names[0] else "linear")
             panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, markerscale=6)
         else:
             panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center", color="0.5")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from prbench.readers.aria_mps.files import read_near
 from prbench.recording import SIDES, PoseStream
 from prbench_adapters.corpora.nymeria.clock import offset_from_file
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY, find_sequences
-from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_FILE, SUIT_RATE, WRIST_FOLDERS
+from prbench_adapters.corpora.nymeria.format import DEVICE_FOLDERS, HEAD_FOLDER, N_SEGMENTS, SUIT_FILE, SUIT_RATE
 from prbench_adapters.corpora.nymeria.suit import open_suit
 
 _SEGMENTS = ("Head", "L_Hand", "R_Hand")
@@ -73,6 +73,14 @@ def device_stream(path: Path) -> PoseStream:
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, valid)
 
 
+def trajectories(found: RecordingFiles) -> dict[str, Path]:
+    """Return the poses of glasses and wristbands by their folder, as far as they are there; none without glasses."""
+    head = found.path(TRAJECTORY)
+    parts_of = () if head is None else head.parts
+    paths = {name: Path(*(name if part == HEAD_FOLDER else part for part in parts_of)) for name in DEVICE_FOLDERS}
+    return {name: path for name, path in paths.items() if path.is_file()}
+
+
 @dataclass(frozen=True)
 class NymeriaTracks:
     """One sequence (see :class:`prbench.alignment.report.TrackSource`)."""
@@ -93,16 +101,16 @@ class NymeriaTracks:
         """
         glasses = device_stream(self.found.require(TRAJECTORY, "recording_head/mps/slam/closed_loop_trajectory.csv"))
         segments = segment_streams(self.found.require(SUIT, f"body/{SUIT_FILE}"))
+        paths = trajectories(self.found)
         own = self.found.path(OFFSET)
         offset = None if own is None else offset_from_file(own, self.recording_id)
-        bands: Mapping = {
-            side: (device_stream(path), segments[f"{side[0].upper()}_Hand"])
-            for side, folder in zip(SIDES, WRIST_FOLDERS, strict=True)
-            if (path := self.found.path(folder)) is not None
-        }
-        messages = tuple(f"no trajectory of the {side} wristband" for side in SIDES if side not in bands)
+        hands = zip(SIDES, DEVICE_FOLDERS[1:], (segments["L_Hand"], segments["R_Hand"]), strict=True)
+        there = [(side, paths[folder], hand) for side, folder, hand in hands if folder in paths]
+        wrists = ((side, device_stream(path), hand) for side, path, hand in there)
+        missing = sorted(set(SIDES) - {side for side, _, _ in there})
+        messages = tuple(f"no trajectory of the {side} wristband" for side in missing)
         known = None if offset is None else offset.seconds
-        return Tracks("glasses and the suit's head", glasses, segments["Head"], known, bands, messages=messages)
+        return Tracks("glasses and the suit's head", glasses, segments["Head"], known, wrists, messages=messages)
 
 
 def track_sources(root: Path) -> Sequence[NymeriaTracks]:

@@ -21,7 +21,7 @@ OFFSET = "time_offset"  # Roles of the files; narrations have the role of their 
 
 _ROLES = {nymeria.SUIT_FILE: SUIT, nymeria.TRAJECTORY_FILE: TRAJECTORY, nymeria.OFFSET_FILE: OFFSET}
 _ROLES |= {name: kind for kind, name in nymeria.NARRATION_FILES.items()}
-_INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER, *nymeria.WRIST_FOLDERS)
+_INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
 
 
 def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
@@ -55,10 +55,7 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
             shared = path
             continue
         if role == TRAJECTORY and nymeria.HEAD_FOLDER not in path.parts:
-            # A wristband's trajectory has the name of its folder as its role.
-            role = next((folder for folder in nymeria.WRIST_FOLDERS if folder in path.parts), "")
-            if not role:
-                continue
+            continue
         # The folder on the way that is named like a sequence, else the one that holds the group's folder.
         folders = [root.name, *path.relative_to(root).parts[:-1]]
         named = [name for name in folders if nymeria.SEQUENCE_NAME.fullmatch(name)]

@@ -33,8 +33,9 @@ from prbench.recording import NO_POSES, PoseStream
 from prbench.sequences import parts
 from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.sequence import row_batch
-from prbench_adapters.corpora.nymeria.files import SUIT, TRAJECTORY
-from prbench_adapters.corpora.nymeria.format import DEVICE_FOLDERS, HEAD_FOLDER, SUIT_FILE, SUIT_RATE, Suit
+from prbench_adapters.corpora.nymeria.devices import trajectories
+from prbench_adapters.corpora.nymeria.files import SUIT
+from prbench_adapters.corpora.nymeria.format import DEVICE_FOLDERS, SUIT_FILE, SUIT_RATE, Suit
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit, segment_rotation, stretches
 from prbench_adapters.corpora.nymeria.synthetic import calibration_rotations
@@ -96,14 +97,6 @@ def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float)
         yield from itertools.pairwise(
             np.linspace(first, stop, int(-(-(stop - first) // longest)) + 1).astype(int).tolist()
         )
-
-
-def trajectories(found: RecordingFiles) -> dict[str, Path]:
-    """Return the poses of glasses and wristbands by their folder, as far as they are there; none without glasses."""
-    head = found.path(TRAJECTORY)
-    parts_of = () if head is None else head.parts
-    paths = {name: Path(*(name if part == HEAD_FOLDER else part for part in parts_of)) for name in DEVICE_FOLDERS}
-    return {name: path for name, path in paths.items() if path.is_file()}
 
 
 def measured(
