@@ -37,7 +37,14 @@ _NEARLY_PLANAR = 3.0  # condition number of the translation
 
 
 class Residual(msgspec.Struct, frozen=True, kw_only=True):
-    """How far A X and X B are apart after one stage: median and 95th percentile, in degrees or millimetres."""
+    """How far A X and X B are apart after one stage.
+
+    Attributes:
+        stage: Name of the stage.
+        unit: ``°`` or ``mm``.
+        p50: Median over the relative motions.
+        p95: Their 95th percentile.
+    """
 
     stage: str
     unit: str
@@ -46,7 +53,13 @@ class Residual(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Slip(msgspec.Struct, frozen=True, kw_only=True):
-    """The device moved against the segment: when (device clock, seconds), and by how much (degrees, metres)."""
+    """The device moved against the segment.
+
+    Attributes:
+        time: Seconds on the device's clock.
+        rotation: Degrees.
+        translation: Metres.
+    """
 
     time: float
     rotation: float
@@ -59,6 +72,7 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         refused: Reason why there is no X; empty where there is one.
         overlap: Seconds that both tracked, on the clocks that were found.
+        clock: Offset and drift; None where too few poses could be compared.
         kept: Share of the relative motions that turn enough of which device and segment turn by the same angle.
         n_motions: Number of relative motions that decided.
         singular_ratio: Second singular value over the first; small where the head turned about one axis only.

@@ -98,7 +98,7 @@ def _refined(segment: Signal, device: Signal, offset: float, second_peak: float)
     times = device[0] + np.arange(len(device[1])) / RATE
     segment_times = segment[0] + np.arange(len(segment[1])) / RATE
     at = float(times.mean())
-    rate, drift, bend = 0.0, 0.0, 0.0
+    rate, drift, bend, peak = 0.0, 0.0, 0.0, 0.0
     for _ in range(4):
         mapped = times + offset + rate * (times - at)
         inside = np.flatnonzero((mapped >= segment_times[0]) & (mapped <= segment_times[-1]))
@@ -119,9 +119,8 @@ def _refined(segment: Signal, device: Signal, offset: float, second_peak: float)
             apart = len(inside) / RATE * 2 / 3
             rate += (lags[2] - lags[0]) / apart
             drift, bend = rate * apart, lags[1] - (lags[0] + lags[2]) / 2
-        offset += lags[3]
-    peaks = {"peak": heights[3], "second_peak": second_peak}
-    return Clock(offset=offset, at=at, rate=rate, drift=drift, bend=bend, **peaks)
+        offset, peak = offset + lags[3], heights[3]
+    return Clock(offset=offset, at=at, rate=rate, drift=drift, bend=bend, peak=peak, second_peak=second_peak)
 
 
 def angular_speed(stream: PoseStream) -> Signal | None:

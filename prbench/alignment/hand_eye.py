@@ -9,6 +9,7 @@ coordinates of the segment to those of the device. Worlds drop out, so that neit
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -51,7 +52,7 @@ class Motions:
 
 
 def motions_between(
-    frames: tuple[np.ndarray, np.ndarray], times: Float[np.ndarray, " f"], *tracks: tuple[Rotation, np.ndarray]
+    frames: tuple[np.ndarray, np.ndarray], times: Float[np.ndarray, " f"], *tracks: tuple[Any, np.ndarray]
 ) -> Motions:
     """Return the motions between pairs of frames.
 
@@ -106,6 +107,7 @@ def translation_of(
     rows = (motions.matrix_a - np.eye(3)).reshape(-1, 3)
     wanted = (motions.move_b @ rotation.T - motions.move_a).reshape(-1)
     weight = np.ones(len(rows))
+    translation = normal = np.zeros((3, 3))
     for _ in range(1 if huber == np.inf else 8):
         normal = (rows * weight[:, None]).T @ rows
         translation = np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (rows.T @ (weight * wanted))

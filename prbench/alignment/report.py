@@ -58,8 +58,8 @@ class TrackSource(Protocol):
     """A recording of which tracks can be read; picklable. A corpus offers a function from its root to all of them."""
 
     @property
-    def recording_id(self) -> str:
-        """Id of the recording."""
+    def found(self) -> RecordingFiles:
+        """The recording's files."""
         ...
 
     def read(self) -> Tracks:
@@ -76,7 +76,7 @@ class Distance(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         of: ``left`` or ``right`` wristband to the suit's hand, or ``head``: glasses to the body's head joint.
-        mean_cm: Mean distance; None where it is not known.
+        mean_cm: Mean distance, centimetres; None where it is not known.
         deviation_cm: Its standard deviation.
         refused: Reason why it is not known.
     """
@@ -91,8 +91,10 @@ class AlignedRecording(msgspec.Struct, frozen=True, kw_only=True):
     """The report on one recording.
 
     Attributes:
+        recording_id: Id of the recording.
         compared: Names of device and segment.
         alignment: Clock, X and findings, or why they are refused.
+        distances: Devices against the joints beside them.
         messages: Sentences about what the recording lacks.
     """
 
@@ -113,15 +115,15 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
         tracks = source.read()
     except PrbenchError as error:
         refused = Alignment(refused=str(error))
-        return AlignedRecording(recording_id=source.recording_id, compared="nothing", alignment=refused), {}
+        return AlignedRecording(recording_id=source.found.recording_id, compared="nothing", alignment=refused), {}
     found = Alignment(refused=tracks.refused)
     if not tracks.refused:
         found = align(tracks.device, tracks.segment, offset=tracks.offset)
     clock = found.clock
     lines: Evidence = {}
-    for name, stream in (("device", tracks.device), ("segment", tracks.segment)) if clock is not None else ():
+    for name, stream in (("device", tracks.device), ("segment", tracks.segment)):
         signal = angular_speed(stream)
-        if signal is not None:
+        if signal is not None and clock is not None:
             times = signal[0] + np.flatnonzero(signal[2]) / RATE
             lines[name] = (times if name == "device" else clock.to_device(times), np.rad2deg(signal[1][signal[2]]))
     on_segment = np.arange(tracks.segment.times[0], tracks.segment.times[-1], 1.0 / _DISTANCE_RATE)
@@ -146,8 +148,7 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
     for name, streams in measured.items():
         there = np.all([covered(each.times, each.valid, at, max_gap=LONGEST_GAP) for each, at in streams], axis=0)
         if not there.any():
-            distances.append(Distance(of=name, refused="the tracks have no time in common"))
-            continue
+            continue  # as the clock or the reader has said
         (place, _), (other, _), *glasses_and_head = [each.pose_at(at[there]) for each, at in streams]
         if glasses_and_head:
             # The hand from the suit's world to that of the glasses: T_WD · X · T_OH⁻¹.
@@ -160,7 +161,7 @@ def compare(source: TrackSource) -> tuple[AlignedRecording, Evidence]:
         lines[name] = (streams[0 if name == "head" else 2][1][there], away)
         distances.append(Distance(of=name, mean_cm=float(away.mean()), deviation_cm=float(away.std())))
     shown = {"compared": tracks.compared, "messages": tracks.messages, "distances": tuple(distances)}
-    return AlignedRecording(recording_id=source.recording_id, alignment=found, **shown), lines
+    return AlignedRecording(recording_id=source.found.recording_id, alignment=found, **shown), lines
 
 
 @dataclass(frozen=True)
@@ -169,11 +170,6 @@ class ReadTracks:
 
     reader: Reader
     found: RecordingFiles
-
-    @property
-    def recording_id(self) -> str:
-        """Id of the recording."""
-        return self.found.recording_id
 
     def read(self) -> Tracks:
         """See :class:`TrackSource`."""
@@ -203,7 +199,7 @@ def egoallo_heads(outputs: list[format.EgoAlloOutput], recording: Recording) -> 
     outputs = sorted(outputs, key=lambda window: (int(window.time_ns[0]), window.name))
     time_ns = np.concatenate([window.time_ns for window in outputs])
     order = np.argsort(time_ns, kind="stable")
-    turned = Rotation.from_quat(np.concatenate([w.world_from_root[0, :, :4] for w in outputs]), scalar_first=True)
+    turned: Any = Rotation.from_quat(np.concatenate([w.world_from_root[0, :, :4] for w in outputs]), scalar_first=True)
     for joint in _TO_HEAD:
         local = np.concatenate([window.body_quats[0, :, joint - 1] for window in outputs])
         turned = turned * Rotation.from_quat(local, scalar_first=True)
@@ -228,5 +224,5 @@ def chosen_tracks(
     else:
         reader = reader_for(dataset, dict(options))
         found = [ReadTracks(reader, files) for files in reader.find(root)]
-    by_name = {source.recording_id: source for source in found}
+    by_name = {source.found.recording_id: source for source in found}
     return [by_name[name] for name in chosen_ids(sorted(by_name), recordings, limit, where=root)]

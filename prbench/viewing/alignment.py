@@ -45,23 +45,25 @@ def draw_alignment(report: AlignedRecording, evidence: Evidence, path: Path) -> 
         times, speed = lines["device"]
         fastest = times[speed.argmax()]
         for name in lines.keys() & {"device", "segment"}:
-            lines[name] = tuple(each[np.abs(lines[name][0] - fastest) <= _SHOWN / 2] for each in lines[name])
+            shown = np.abs(lines[name][0] - fastest) <= _SHOWN / 2
+            lines[name] = (lines[name][0][shown], lines[name][1][shown])
     start = min((float(times[0]) for times, _ in evidence.values() if len(times)), default=0.0)
     figure = new_figure(7.0, 5.6, layout="constrained")
-    for panel, (title, names) in zip(figure.subplots(len(_PANELS), 1), _PANELS, strict=True):
+    panels = figure.subplots(len(_PANELS), 1)
+    for panel, (title, names) in zip(panels, _PANELS, strict=True):
         panel.set_title(title)
         for number, name in enumerate(name for name in names if name in lines):
             times, values = (each[:: max(1, len(each) // _POINTS)] for each in lines[name])
             style = {"marker": ".", "markersize": 1, "linestyle": ""} if "motion" in name else {"linewidth": 0.8}
             panel.plot(times - start, values, color=f"C{number}", label=name, **style)
-        for slip in found.slips if panel.lines and "a " not in title[:2] else ():
+        for slip in found.slips if panel.lines and names != _PANELS[0][1] else ():
             panel.axvline(slip.time - start, color="0.3", linestyle=":", linewidth=0.9)
         if panel.lines:
             panel.set_yscale("log" if "motion" in names[0] else "linear")
             panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, markerscale=6)
         else:
             panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center", color="0.5")
-    panel.set_xlabel("seconds after the first measurement (dotted: the device slipped)")
+    panels[-1].set_xlabel("seconds after the first measurement (dotted: the device slipped)")
     said = found.refused or "; ".join(found.findings) or "no finding"
     figure.suptitle(figure_text(f"{report.recording_id}: {report.compared}\n{said}"), wrap=True)
     write_figure(figure, path, f"Alignment of {report.recording_id}: {said}.")

@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from prbench.alignment.report import _TO_HEAD, compare, egoallo_heads
 from prbench.cli.main import main
+from prbench.errors import InputFileError
 from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Joint
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.found import RecordingFiles
 from prbench.recording import NO_GAZE, NO_POSES, BodyStream, PoseStream, Recording
 from prbench.representation.converters.smpl import pose_body
 from prbench.synthetic.write_tree import synthesize_tree
@@ -160,13 +162,11 @@ def test_egoallos_head_turns_as_the_posed_body_does():
     assert tuple(reversed(chain)) == _TO_HEAD
 
 
-def test_a_recording_that_cannot_be_read_is_refused_and_loses_no_other(root):
+def test_a_recording_that_cannot_be_read_is_refused_with_its_error():
     class Damaged:
-        recording_id = "r"
+        found = RecordingFiles("d", "r", Path(), ())
 
         def read(self):
-            from prbench.errors import InputFileError
-
             raise InputFileError("x.csv", "row 3", expected="a number", found="word")
 
     report, evidence = compare(Damaged())

@@ -87,11 +87,6 @@ class NymeriaTracks:
 
     found: RecordingFiles
 
-    @property
-    def recording_id(self) -> str:
-        """Name of the sequence."""
-        return self.found.recording_id
-
     @foreign_input()
     def read(self) -> Tracks:
         """Read glasses, wristbands and suit.
@@ -103,7 +98,7 @@ class NymeriaTracks:
         segments = segment_streams(self.found.require(SUIT, f"body/{SUIT_FILE}"))
         paths = trajectories(self.found)
         own = self.found.path(OFFSET)
-        offset = None if own is None else offset_from_file(own, self.recording_id)
+        offset = None if own is None else offset_from_file(own, self.found.recording_id)
         hands = zip(SIDES, DEVICE_FOLDERS[1:], (segments["L_Hand"], segments["R_Hand"]), strict=True)
         there = [(side, paths[folder], hand) for side, folder, hand in hands if folder in paths]
         wrists = ((side, device_stream(path), hand) for side, path, hand in there)
