@@ -31,7 +31,6 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import copy_file, foreign_input, read_whole
 from prbench.geometry.timelines import interpolate
 from prbench.limits import FARTHEST_EYES, HARMLESS_SIZE
-from prbench.protocol.manifests import load_manifest
 from prbench.readers import Reader, RecordingFiles, cut_short, reader_for
 from prbench.readers.extents import damage
 from prbench.readers.found import InputFile
@@ -39,7 +38,7 @@ from prbench.recording import Recording, wrists_at
 from prbench.sequences.table import why_no_sequences
 
 _LONGEST = 600.0  # seconds from the start of a recording that are measured
-_NEEDED = ("title", "homepage", "how_to_obtain", "licence", "citation", "required_files", "rates_hz")
+_NEEDED = ("title", "how_to_obtain", "licence", "required_files")
 _READ = ("manifest", "find", "read")
 _Tell = Callable[[Check], None] | None
 _Options = tuple[tuple[str, str], ...]
@@ -61,7 +60,7 @@ class _Subject:
     """A reader and a copy of its dataset, with what the reader has given so far."""
 
     reader: Reader
-    options: _Options
+    options: BuildOptions
     root: Path
     most: int
     scratch: Path
@@ -88,7 +87,8 @@ def check_dataset(dataset: str, root: Path, most: int = 3, options: _Options = (
     root = root.expanduser().resolve()
     with tempfile.TemporaryDirectory(prefix="prbench-check-") as folder:
         scratch = Path(folder).resolve()
-        subject = _Subject(reader_for(dataset, dict(options)), options, root, most, scratch, _state(root))
+        chosen = BuildOptions(limit=2, reader=options)
+        subject = _Subject(reader_for(dataset, dict(options)), chosen, root, most, scratch, _state(root))
         findings = tuple(verdicts.examine(subject, CHECKS, announce=announce))
     return Report(dataset, findings, time.perf_counter() - started)
 
@@ -104,11 +104,12 @@ def _verdict(wrong: Collection[str], remedy: str, well: str) -> list[Finding]:
 
 @check("manifest", "reader and manifest say what the dataset is, and what using it asks for")
 def _manifest(subject: _Subject) -> list[Finding]:
-    manifest = load_manifest(subject.reader.dataset)
+    manifest = subject.options.manifest_of(subject.reader.dataset)
     wrong = [f"{name} is empty." for name in _NEEDED if not getattr(manifest, name)]
     numbers = {**manifest.rates_hz, **manifest.thresholds}
     wrong += [f"{name} is {number:g}." for name, number in numbers.items() if not 0 < number < np.inf]
-    wrong += ["citation is no BibTeX."] * ("@" not in f"{manifest.citation or '@'}")
+    # What nobody else may use needs no citation.
+    wrong += ["citation is no BibTeX."] * ("@" not in manifest.citation and manifest.redistribution != "none")
     wrong += ["the reader is no frozen data class."] * (not type(subject.reader).__dataclass_params__.frozen)  # type: ignore[attr-defined]
     return _verdict(wrong, "Complete it: exports and citations take it from there.", f"licence: {manifest.licence}.")
 
@@ -128,7 +129,7 @@ def _find(subject: _Subject) -> list[Finding]:
 
 @check("read", "recordings are read: finite, masked, in order of time, rotations of length 1", needs=_READ[:2])
 def _read(subject: _Subject) -> list[Finding]:
-    manifest = load_manifest(subject.reader.dataset)
+    manifest = subject.options.manifest_of(subject.reader.dataset)
     usable = [each for each in subject.found if not (each.skip_reason or manifest.why_bad(each.recording_id))]
     subject.found = tuple(usable[: subject.most])
     wrong = []
@@ -145,7 +146,7 @@ def _read(subject: _Subject) -> list[Finding]:
 
 @check("repeatable", "the same files give the same recording, in another process and folder, too", needs=_READ)
 def _repeatable(subject: _Subject) -> list[Finding]:
-    work = (subject.reader.dataset, subject.options, subject.found)
+    work = (subject.reader.dataset, subject.options.reader, subject.found)
     with ProcessPoolExecutor(1, get_context("spawn"), initializer=os.chdir, initargs=(subject.scratch,)) as pool:
         others = zip(_digests(*work), pool.submit(_digests, *work).result(), strict=True)
     reads = zip(subject.recordings, map(_digest, subject.recordings.values()), others, strict=True)
@@ -224,8 +225,8 @@ def _measures(recording: Recording) -> Iterator[tuple[str, str, float, float, fl
 
 @check("build", "a build of two recordings gives sequences", needs=(*_READ, *_MEASURED))
 def _build(subject: _Subject) -> list[Finding]:
-    options = BuildOptions(limit=2, reader=subject.options)
-    info = build_dataset(subject.reader.dataset, subject.root, subject.scratch / "table", options=options).info
+    out = subject.scratch / "table"
+    info = build_dataset(subject.reader.dataset, subject.root, out, options=subject.options).info
     if info.counts.sequences:
         return [passed(f"{info.counts.sequences} sequences of {info.counts.events} events.")]
     return [verdicts.warning(f"no sequences. {why_no_sequences(info)}", "`prbench explain` tells about one event.")]

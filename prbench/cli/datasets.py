@@ -109,6 +109,7 @@ def new(*, name: str, out: Path | None) -> Answer:
 @click.argument("name", required=False)
 @opt.root_option("A copy of it, of two recordings or more.", required=False)
 @opt.number_option("--max-recordings", "Read at most N recordings, the first that are found (default 3).")
+@opt.path_option("--manifest", "Of own recordings: your manifest, as for `prbench build-dataset`.")
 @opt.reader_options()
 @opt.flag("--list", "listed", "List the checks, and make none.")
 def check(*, name: str | None, root: Path | None, options: opt.Pairs, listed: bool, **given: Any) -> Answer:
@@ -125,6 +126,8 @@ def check(*, name: str | None, root: Path | None, options: opt.Pairs, listed: bo
         return Answer(report, lambda: print_columns(("check", "", "question"), checks))
     if name is None or root is None:
         raise UsageError("NAME and --root DIR are needed: the dataset, and a copy of it. (--list does without.)")
+    if (manifest := given["manifest"]) is not None:
+        options = {**options, "manifest": str(manifest)}
     with progress(f"checking {name}") as show:
         chosen = (given["max_recordings"] or 3, tuple(sorted(options.items())))
         report = check_dataset(name, root, *chosen, lambda one: show(CHECKS.index(one), len(CHECKS), one.name))

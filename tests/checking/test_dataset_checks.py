@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from prbench.checking.conformance import Outcome
@@ -14,8 +15,11 @@ from prbench.checking.dataset_checks import CHECKS, check_dataset
 from prbench.checking.scaffold import new_dataset
 from prbench.cli import main
 from prbench.protocol.manifests import load_manifest
+from prbench.readers.own import format as own
+from prbench.readers.own.write import write_recording
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import refused, reported
+from tests.readers.own.plain import METRES, plain_tables, recording_of
 from tests.shared import made_once
 
 
@@ -125,3 +129,35 @@ def test_what_cannot_be_checked_is_refused_and_checks_are_listed(root, capsys):
 def test_a_folder_without_recordings_is_one_finding(root, tmp_path):
     load_manifest.cache_clear()
     assert list(outcomes("tabletop", tmp_path)) == ["find"]
+
+
+def late(tables: dict, seconds: float) -> None:
+    tables["gaze"]["time"] = tables["gaze"]["time"] + seconds
+
+
+def exchanged(tables: dict, seconds: float) -> None:
+    tables["wrists"]["side"] = [{"left": "right", "right": "left"}[side] for side in tables["wrists"]["side"]]
+
+
+OWN_FAULTS = {
+    "none": ({}, None, ""),
+    "metres called millimetres": ({"units": own.Units(length="mm", time="s")}, None, "unit"),
+    "seconds called milliseconds": ({"units": own.Units(length="m", time="ms")}, None, "clock"),
+    "y up called z up": ({"axes": own.Axes(up="z")}, None, "axes"),
+    "world rays called rays in the head": ({"gaze": own.GazeFrame(frame="head")}, None, "axes"),
+    "wrong order of quaternions": ({"axes": own.Axes(up="y", quaternion="xyzw")}, None, "read"),
+    "hands exchanged": ({}, exchanged, "axes"),
+    "gaze a second late": ({}, late, "clock"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OWN_FAULTS)
+def test_a_fault_in_own_recordings_is_named(name, tmp_path):
+    said, change, expected = OWN_FAULTS[name]
+    tables = plain_tables(recording_of("adt"), METRES)
+    if change is not None:
+        change(tables, 1.0)
+    for folder in ("one", "two"):
+        write_recording(tmp_path / folder, msgspec.structs.replace(METRES, **said), tables)
+    assert list(outcomes("own", tmp_path)) == [expected] * bool(expected)
