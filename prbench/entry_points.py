@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import Distribution, EntryPoint, distributions
 from typing import Any
 
-from prbench.errors import UsageError
+from prbench.errors import UsageError, did_you_mean
 from prbench.shown import quoted
 
 # The group of methods; a third party finds it as :data:`prbench.contract.ENTRY_POINT_GROUP`.
@@ -24,6 +24,8 @@ PREDICTORS = "prbench.predictors"
 COMMANDS = "prbench.commands"
 # The group of tables of the study that stand with their benchmark: a name, and the function that makes the table.
 STUDY_ITEMS = "prbench.study_items"
+# The group of what estimates bodies from head and wrists (:class:`prbench.curation.poses.three_point.PoseEstimator`).
+POSE_ESTIMATORS = "prbench.pose_estimators"
 # The group of what text-motion corpora add to other commands: ``find``, ``merge``, ``synthesize`` and ``windows``.
 CORPORA = "prbench.corpora"
 _OURS = "prbench"  # the distribution whose plug-ins are built in
@@ -76,16 +78,22 @@ def installed_entries(group: str, *, kind: str = "callable") -> Iterator[Install
             yield InstalledEntry(name, package, version, target, problem, ours)
 
 
-def load_built_in(group: str, name: str) -> Any:
+def load_built_in(group: str, name: str, *, of_others: bool = False) -> Any:
     """Import what prbench's own package offers in a group under a name.
 
+    Args:
+        group: Name of the entry-point group.
+        name: Name in it.
+        of_others: Take what other packages offer, too.
+
     Raises:
-        UsageError: if the installed package lacks it.
+        UsageError: if nobody offers it.
     """
-    for entry in installed_entries(group):
-        if entry.built_in and entry.name == name and not entry.problem:
-            return EntryPoint(entry.name, entry.target, group).load()
-    raise UsageError(f"nothing named '{name}' in the group '{group}'. Install prbench again: its metadata is too old.")
+    known = {each.name: each for each in installed_entries(group) if not each.problem and (of_others or each.built_in)}
+    if name not in known:
+        remedy = f"Installed: {', '.join(sorted(known)) or 'nothing; install prbench again'}."
+        raise UsageError(f"nothing named '{name}' in the group '{group}'.{did_you_mean(name, known)} {remedy}")
+    return EntryPoint(name, known[name].target, group).load()
 
 
 def _distributions() -> Iterator[Distribution]:

@@ -31,7 +31,7 @@ from prbench.shown import quoted
 
 # Sources of bodies that were computed from whole tracks of the head: a frame may carry later head motion
 # (docs/specification/motion-prediction.md#from-recordings-to-windows).
-ESTIMATED = frozenset({"egoallo"})
+ESTIMATED = frozenset({"egoallo", "three-point"})
 _ENTRIES_NAMED = 3  # unreadable entries that a message names
 
 

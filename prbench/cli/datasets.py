@@ -287,27 +287,41 @@ _POSES = "prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml"
 
 
 @command("poses", example=_POSES, resumes=True, report=["prbench.curation.poses.make:Outcome"])
-@click.argument("estimator", type=click.Choice(["egoallo"]))
+@click.argument("estimator", type=click.Choice(["egoallo", "three-point"]))
 @opt.root_option(type=opt.LOCAL_PATH)
 @click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")
 @click.option("--config", type=opt.PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
+@opt.option_option("three-point", remark="estimator=NAME, weights=FILE, floor=METRES")
 @opt.recordings_options
 @opt.option("--poses-root", "Folder of EgoAllo's outputs (default: ROOT/egoallo).", type=opt.LOCAL_PATH, metavar="DIR")
 @opt.flag("--dry-run", "Say which recordings lack a body, and run nothing.")
 def poses(
-    *, estimator: str, root: Path, dataset: str | None, config: Path | None, dry_run: bool, **given: Any
+    *, estimator: str, root: Path, config: Path | None, options: opt.Pairs, dry_run: bool, **given: Any
 ) -> Answer:
-    """Say which recordings lack a body pose, and have EgoAllo estimate it."""
-    from prbench.curation.poses import instructions, make_poses, pose_states, read_config
-    from prbench.curation.poses.make import Outcome
+    """Say which recordings lack a body pose, and have it estimated.
 
-    assert estimator == "egoallo", "the only choice"
-    settings = read_config(config) if config else None
-    states = tuple(pose_states(root, dataset, limit=given.pop("max_recordings"), **given))
-    outcomes = [Outcome(state.found.recording_id, state.state, state.message) for state in states]
-    if settings is not None and not dry_run:
-        with progress("running EgoAllo") as show_progress:
-            outcomes = list(make_poses(states, settings, root=root, progress=show_progress))
+    By EgoAllo, which you install; or by a network of ours from head and wrists alone (three-point), into
+    ROOT/three-point, which readers take with --option poses=three-point.
+    """
+    from prbench.curation import poses as bodies
+    from prbench.readers import parse_options
+
+    is_ours = estimator == "three-point"
+    if (config or given["poses_root"] or dry_run) if is_ours else options:
+        raise UsageError("--config, --poses-root and --dry-run are egoallo's, --option is three-point's.")
+    settings = bodies.read_config(config) if config else None
+    given["limit"] = given.pop("max_recordings")
+    states: tuple[bodies.PoseState, ...] = ()
+    with progress(f"bodies by {estimator}") as tell:
+        if is_ours:
+            del given["poses_root"]
+            chosen = parse_options(bodies.ThreePointOptions, options, dataset="three-point bodies")
+            outcomes = bodies.make_bodies(root, options=chosen, progress=tell, **given)
+        else:
+            states = tuple(bodies.pose_states(root, **given))
+            outcomes = [bodies.Outcome(state.found.recording_id, state.state, state.message) for state in states]
+            if settings is not None and not dry_run:
+                outcomes = bodies.make_poses(states, settings, root=root, progress=tell)
     for outcome in outcomes:
         if outcome.failed:
             note(f"failed: {outcome.recording_id}: {outcome.message}")
@@ -316,12 +330,12 @@ def poses(
         whole = ("complete", "kept", "made")
         rows = [(each.recording_id, each.state, each.message) for each in outcomes if each.state not in whole]
         if rows:
-            print_table("recordings without a whole EgoAllo body", ("recording", "outputs", "details"), rows)
+            print_table(f"recordings without a whole body by {estimator}", ("recording", "body", "details"), rows)
         counts = Counter(each.state for each in outcomes)
         counted = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
         print(f"{len(outcomes)} recordings: {counted}")
         lacking = [state for state in states if state.lacking]
         if lacking and settings is None and not dry_run:
-            print(f"\n{instructions(root, lacking)}", end="")
+            print(f"\n{bodies.instructions(root, lacking)}", end="")
 
     return Answer(outcomes, show, NOT_EVERYTHING if any(each.failed for each in outcomes) else 0)

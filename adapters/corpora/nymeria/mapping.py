@@ -6,7 +6,6 @@ fit's joints decides between the two ways to map the trunk (docs/specification/n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -40,61 +39,44 @@ _BLOCK = 2400  # frames that are in memory at once: the floor is told every ten 
 _CONSTANT = 0.001  # m, a suit's bone is constant to this
 _FEWEST = 100  # samples that suit and SMPL fit must have in common
 _FARTHEST = 0.5  # m, median; a fit of another recording or in another unit lies further away
+_OTHER = "It is of another recording, or not in metres."
 _SMPL_SIZES = {"global_orient": 3, "body_pose": 69, "transl": 3, "betas": 10}
 _FEET = [XSENS_SEGMENTS.index(name) for name in ("L_Foot", "L_Toe", "R_Foot", "R_Toe")]
-_HEAD = XSENS_SEGMENTS.index("Head")
-_SHARES = {"p50": 50.0, "p95": 95.0}
+_LEFT = [row for row, (_, child) in enumerate(BONES) if Joint(child).name.startswith("LEFT_")]  # the right one follows
 
-_NUMBERS = {
-    "bone": ("bone off by", "mm"),
-    "sides": ("left - right", "mm"),
-    "floor": ("floor", "m"),
-    "drift": ("drift", "cm"),
-    "head": ("head above foot", "m"),
-}
-_WORDS = ("recording", "mapping", "worst bone", "joint")
-_TEXT = {name: Column(key=name, title=name, text=True) for name in _WORDS}
+_Numbers = dict[tuple[str, str], float]  # numbers of a row by their title and unit
 
 
-@dataclass
-class SuitMeasures:
-    """Numbers of one suit file; positions in metres, Y up.
-
-    Attributes:
-        kept: Segments in the frames that were asked for; NaN where the suit had none.
-        lengths: Maps each variant to the length of each bone, the median of the first ten seconds with positions.
-        worst: Maps each variant to the largest distance of any bone from that length, the bone, and the file's frame.
-        floor: Height of the lowest foot in each ten seconds.
-        heights: Median height of the head above the lowest foot in each of them.
-        remarks: Sentences about what is missing in the file.
-    """
-
-    kept: Float[np.ndarray, "k 23 3"]
-    lengths: dict[str, Float[np.ndarray, "21"]] = field(default_factory=dict)
-    worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)
-    floor: list[float] = field(default_factory=list)
-    heights: list[float] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-
-
-def measure_suit(path: Path, frames: Int[np.ndarray, " k"]) -> SuitMeasures:
+def measure_suit(
+    path: Path, frames: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k 23 3"], dict[str, tuple[tuple[float, str, int], _Numbers]], list[str]]:
     """Measure a suit's bones, floor and height in blocks, so that memory does not grow with the recording.
+
+    A bone's length is its median in the first ten seconds; the floor is the lowest foot of each ten seconds.
 
     Args:
         path: ``xdata.npz``.
         frames: Frames whose segments are kept.
 
+    Returns:
+        These segments (metres, Y up; NaN where the suit had none); each variant's worst bone (distance from its length
+        in metres, name, frame of the file) and numbers; and what is missing in the file.
+
     Raises:
         InputFileError: see :func:`open_suit`; also if no frame has positions, or the head is below the feet.
     """
     archive, _ = open_suit(path)
-    found = SuitMeasures(np.full((len(frames), N_SEGMENTS, 3), np.nan))
+    kept = np.full((len(frames), N_SEGMENTS, 3), np.nan)
+    usual: dict[str, np.ndarray] = {}
+    worst: dict[str, tuple[float, str, int]] = dict.fromkeys(_VARIANTS, (-1.0, "", 0))
+    floor = []
+    heights = []
     lost = 0
     for number, block in enumerate(archive.blocks("segment_tXYZ", _BLOCK)):
         first = number * _BLOCK
         points = y_up(block.reshape(len(block), N_SEGMENTS, 3).astype(np.float64))
         inside = (frames >= first) & (frames < first + len(points))
-        found.kept[inside] = points[frames[inside] - first]
+        kept[inside] = points[frames[inside] - first]
         there = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
         lost += len(points) - len(there)
         if not len(there):
@@ -102,24 +84,30 @@ def measure_suit(path: Path, frames: Int[np.ndarray, " k"]) -> SuitMeasures:
         points = points[there]
         for name, rows in _VARIANTS.items():
             lengths = bone_lengths(points[:, rows])
-            away = np.abs(lengths - found.lengths.setdefault(name, np.median(lengths, axis=0)))
+            away = np.abs(lengths - usual.setdefault(name, np.median(lengths, axis=0)))
             frame, bone = np.unravel_index(away.argmax(), away.shape)
-            worst = (float(away[frame, bone]), Joint(BONES[bone][1]).name.lower(), int(first + there[frame]))
-            found.worst[name] = max(found.worst.get(name, worst), worst)
+            found = (float(away[frame, bone]), Joint(BONES[bone][1]).name.lower(), int(first + there[frame]))
+            worst[name] = max(worst[name], found)
         lowest = points[:, _FEET, 1].min(axis=1)
-        found.floor.append(float(lowest.min()))
-        found.heights.append(float(np.median(points[:, _HEAD, 1] - lowest)))
-    require(path, (found.floor, "segment_tXYZ", "positions", "none that are finite", "Leave the recording out."))
-    height = float(np.median(found.heights))
-    remedy = "Other axes than the suit's own are not supported."
+        floor.append(lowest.min())
+        heights.append(np.median(points[:, XSENS_SEGMENTS.index("Head"), 1] - lowest))
+    require(path, (floor, "segment_tXYZ", "positions", "none that are finite", "Leave the recording out."))
+    height = float(np.median(heights))
     says = f"the head {height:.2f} m above the feet in z"
-    require(path, (height > 0.0, "segment_tXYZ", "Z up: the head above the feet", says, remedy))
+    require(path, (height > 0.0, "segment_tXYZ", "Z up: the head above the feet", says, "Other axes are not read."))
     least = load_manifest("nymeria").thresholds["smallest_quaternion"]
     turned = (block.reshape(len(block), N_SEGMENTS, 4) for block in archive.blocks("segment_qWXYZ", _BLOCK))
     unturned = sum(int((~(np.linalg.norm(block, axis=-1) >= least)).any(axis=1).sum()) for block in turned)
-    for count, what in ((lost, "without a position"), (unturned, "with a segment without rotation")):
-        found.remarks += [f"{count} frames {what}"] if count else []
-    return found
+    missing = {"without a position": lost, "with a segment without rotation": unturned}
+    third = max(len(floor) // 3, 1)
+    drift = np.median(floor[-third:]) - np.median(floor[:third])
+    shared = {("floor", "m"): np.median(floor), ("drift", "cm"): drift * 1e2, ("head above foot", "m"): height}
+    measures = {}
+    for name, lengths in usual.items():
+        sides = np.abs(lengths[_LEFT] - lengths[np.add(_LEFT, 1)]).max()
+        numbers = {("bone off by", "mm"): worst[name][0] * 1e3, ("left - right", "mm"): sides * 1e3, **shared}
+        measures[name] = (worst[name], numbers)
+    return kept, measures, [f"{count} frames {what}" for what, count in missing.items() if count]
 
 
 def read_smpl_fit(path: Path, rest: RestJoints) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 22 3"]]:
@@ -140,24 +128,27 @@ def read_smpl_fit(path: Path, rest: RestJoints) -> tuple[Float[np.ndarray, " n"]
     parts = {}
     for key, size in _SMPL_SIZES.items():
         shape = archive.header(key).shape
-        fits = shape == (len(times), size)
-        require(path, (fits, key, f"the shape {(len(times), size)}", shape, "Lengths are mixed; download it again."))
+        wanted = (len(times), size)
+        require(path, (shape == wanted, key, f"the shape {wanted}", shape, "Lengths are mixed; download it again."))
         step = every * (_BLOCK // every + 1)  # whole numbers of samples, so that each block begins with one
         parts[key] = np.concatenate([block[::every].astype(np.float64) for block in archive.blocks(key, step)])
     return times[::every], smpl_joints(SmplParameters.from_arrays(**parts, source=path), rest)
 
 
 def fit_distances(
-    kept: Float[np.ndarray, "k 23 3"], joints: Float[np.ndarray, "k 22 3"], path: Path
-) -> dict[str, Float[np.ndarray, "k 22"]]:
-    """Distance of the SMPL fit's joints from the suit's, metres, after one rigid alignment of the whole recording.
+    path: Path, kept: Float[np.ndarray, "k 23 3"], joints: Float[np.ndarray, "k 22 3"]
+) -> dict[str, _Numbers]:
+    """Distances of the SMPL fit's joints from the suit's, after one rigid alignment of the whole recording.
 
     The alignment uses the 18 joints that both variants share, so that it favours neither.
 
     Args:
+        path: The fit, for messages.
         kept: The suit's segments, metres, Y up.
         joints: The fit's joints at the same times, in any world.
-        path: The fit, for messages.
+
+    Returns:
+        By joint, the median and 95th percentile under each variant, cm; last their means over those that differ.
 
     Raises:
         InputFileError: if the two are no two views of one motion.
@@ -166,30 +157,33 @@ def fit_distances(
     fit = joints[:, _SHARED].reshape(-1, 3)
     turn = Rotation.align_vectors(suit - suit.mean(axis=0), fit - fit.mean(axis=0))[0]
     moved = turn.apply((joints - fit.mean(axis=0)).reshape(-1, 3)).reshape(joints.shape) + suit.mean(axis=0)
-    found = {name: np.linalg.norm(moved - kept[:, rows], axis=-1) for name, rows in _VARIANTS.items()}
-    away = float(np.median(found["anatomical"][:, _SHARED]))
-    expected = f"joints within {_FARTHEST:g} m of the suit's"
-    remedy = "It is of another recording, or not in metres."
-    require(path, (away <= _FARTHEST, "", expected, f"a median distance of {away:.2f} m", remedy))
+    away = {name: np.linalg.norm(moved - kept[:, rows], axis=-1) for name, rows in _VARIANTS.items()}
+    median = float(np.median(away["anatomical"][:, _SHARED]))
+    require(path, (median <= _FARTHEST, "", f"joints within {_FARTHEST:g} m of the suit's", f"{median:.2f} m", _OTHER))
+    found = {}
+    for name, rows in {**{joint.name.lower(): [joint] for joint in Joint}, "pelvis and spine, mean": _TRUNK}.items():
+        found[name] = {
+            (f"{variant} p{percent}", "cm"): np.percentile(away[variant][:, rows], percent, axis=0).mean() * 1e2
+            for variant in _VARIANTS
+            for percent in (50, 95)
+        }
     return found
 
 
 @foreign_input()
-def _measure(path: Path, model: RestJoints | None) -> tuple[SuitMeasures, dict[str, Float[np.ndarray, "k 22"]]]:
-    """Measure one suit, and its distance from the SMPL fit beside it where there are fit and model."""
+def _measure(path: Path, model: RestJoints | None) -> tuple[dict, list[str], dict[str, _Numbers]]:
+    """Return numbers and remarks of one suit, and of the SMPL fit beside it where there are fit and model."""
     beside = path.with_name(SMPL_FILE)
     if model is None or not beside.exists():
-        return measure_suit(path, np.zeros(0, dtype=np.int64)), {}
+        return *measure_suit(path, np.zeros(0, dtype=np.int64))[1:], {}
     times, joints = read_smpl_fit(beside, model)
     clock, frames = np.unique(open_suit(path)[1], return_index=True)  # clocks of damaged files jump back
     nearest = nearest_index(clock.astype(float), times)
     common = np.abs(clock[nearest] - times) <= 0.5e6 / SUIT_RATE
-    expected = f"{_FEWEST} or more samples at times of the suit"
-    remedy = "It is of another recording."
-    require(beside, (common.sum() >= _FEWEST, "timestamps", expected, int(common.sum()), remedy))
-    measures = measure_suit(path, frames[nearest[common]])
-    seen = np.isfinite(measures.kept).all(axis=(1, 2))
-    return measures, fit_distances(measures.kept[seen], joints[common][seen], beside)
+    require(beside, (common.sum() >= _FEWEST, "timestamps", f"{_FEWEST} times of the suit", int(common.sum()), _OTHER))
+    kept, measures, remarks = measure_suit(path, frames[nearest[common]])
+    seen = np.isfinite(kept).all(axis=(1, 2))
+    return measures, remarks, fit_distances(beside, kept[seen], joints[common][seen])
 
 
 def mapping_tables(root: Path, smpl: Path | None) -> tuple[list[Table], dict[str, str]]:
@@ -208,69 +202,35 @@ def mapping_tables(root: Path, smpl: Path | None) -> tuple[list[Table], dict[str
     """
     model = None if smpl is None else read_rest_joints(smpl, joints=24)
     failed = {}
-    suits: list[Row] = []
-    fits: list[Row] = []
-    notes: list[str] = []
+    suits: list[tuple[dict[str, str], _Numbers]] = []
+    fits: list[tuple[dict[str, str], _Numbers]] = []
+    notes = []
     paths = {each.recording_id: path for each in find_sequences(root) if (path := each.path(SUIT)) is not None}
     require(root, (paths, "", f"sequences with body/{SUIT_FILE}", "none", ""))
     for recording, path in paths.items():
         try:
-            measures, distances = _measure(path, model)
+            measures, remarks, distances = _measure(path, model)
         except InputFileError as error:
             failed[recording] = str(error)
             continue
-        notes += [f"{recording}: {remark}" for remark in measures.remarks]
-        off, bone, frame = measures.worst["anatomical"]  # "named" leaves a segment out of the trunk
-        if off > _CONSTANT:
-            failed[recording] = f"corrupt: {bone} is {off * 1e3:.1f} mm off its length in frame {frame}"
-        suits += [_suit_row(recording, variant, measures) for variant in _VARIANTS]
-        fits += _fit_rows(recording, distances)
-    numbers = [Column(key=key, title=title, unit=unit) for key, (title, unit) in _NUMBERS.items()]
-    columns = (_TEXT["recording"], _TEXT["mapping"], *numbers, _TEXT["worst bone"])
-    tables = [
-        Table(title="Suits on 22 joints", columns=columns, blocks=(Block(rows=tuple(suits)),), notes=tuple(notes))
-    ]
-    if fits:
-        keys = [f"{variant} {share}" for variant in _VARIANTS for share in _SHARES]
-        columns = (_TEXT["recording"], _TEXT["joint"], *(Column(key=key, title=key, unit="cm") for key in keys))
-        title = "Distance of the SMPL fit from the suit's joints"
-        tables.append(Table(title=title, columns=columns, blocks=(Block(rows=tuple(fits)),)))
+        notes += [f"{recording}: {remark}" for remark in remarks]
+        for variant, ((off, bone, frame), numbers) in measures.items():
+            if off > _CONSTANT and variant == "anatomical":  # "named" leaves a segment out of the trunk
+                failed[recording] = f"corrupt: {bone} is {off * 1e3:.1f} mm off its length in frame {frame}"
+            words = {"recording": recording, "mapping": variant, "worst bone": f"{bone}, frame {frame}"}
+            suits.append((words, numbers))
+        fits += [({"recording": recording, "joint": joint}, numbers) for joint, numbers in distances.items()]
+    tables = []
+    for title, rows in (("Suits on 22 joints", suits), ("Distance of the SMPL fit from the suit's joints", fits)):
+        lines = []
+        for words, row in rows:
+            about = dict(zip(("dataset", "variant"), words.values(), strict=False))
+            cells = [Cell(metric=name, value=float(value), unit=unit, **about) for (name, unit), value in row.items()]
+            lines.append(Row(text=words, cells=tuple(cells)))
+        if rows:
+            columns = [Column(key=name, title=name, text=True) for name in rows[0][0]]
+            columns += [Column(key=name, title=name, unit=unit) for name, unit in rows[0][1]]
+            blocks = (Block(rows=tuple(lines)),)
+            tables.append(Table(title=title, columns=tuple(columns), blocks=blocks, notes=tuple(notes)))
+        notes = []
     return tables, failed
-
-
-def _suit_row(recording: str, variant: str, measures: SuitMeasures) -> Row:
-    off, bone, frame = measures.worst[variant]
-    lengths = dict(zip(BONES, measures.lengths[variant], strict=True))
-    # Of a left joint, the right one follows; a parent in the middle is the parent of both.
-    mirror = [(lengths[pair], lengths[BONES[pair[1]]]) for pair in BONES if Joint(pair[1]).name.startswith("LEFT_")]
-    third = max(len(measures.floor) // 3, 1)
-    numbers = {
-        "bone": off * 1e3,
-        "sides": max(abs(left - right) for left, right in mirror) * 1e3,
-        "floor": np.median(measures.floor),
-        "drift": 1e2 * (np.median(measures.floor[-third:]) - np.median(measures.floor[:third])),
-        "head": np.median(measures.heights),
-    }
-    cells = [
-        Cell(dataset=recording, variant=variant, metric=name, value=float(value), unit=_NUMBERS[name][1])
-        for name, value in numbers.items()
-    ]
-    text = {"recording": recording, "mapping": variant, "worst bone": f"{bone}, frame {frame}"}
-    return Row(text=text, cells=tuple(cells))
-
-
-def _fit_rows(recording: str, distances: dict[str, Float[np.ndarray, "k 22"]]) -> list[Row]:
-    """Return a row a joint, and one of the mean of the joints on which the variants differ."""
-    groups = {joint.name.lower(): [joint] for joint in Joint if distances}
-    if distances:
-        groups["pelvis and spine, mean"] = _TRUNK
-    rows = []
-    for name, joints in groups.items():
-        cells = []
-        for variant, away in distances.items():
-            for share, percent in _SHARES.items():
-                value = float(np.percentile(away[:, joints], percent, axis=0).mean()) * 1e2
-                about = {"dataset": recording, "variant": name}
-                cells.append(Cell(metric=f"{variant} {share}", value=value, unit="cm", **about))
-        rows.append(Row(text={"recording": recording, "joint": name}, cells=tuple(cells)))
-    return rows

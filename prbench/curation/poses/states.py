@@ -6,7 +6,7 @@ import gzip
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -210,15 +210,7 @@ def pose_states(
     """
     root = root.expanduser().resolve()
     datasets = tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
-    if dataset is None:
-        try:
-            held = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
-        except PrbenchError as error:
-            raise UsageError(f"{error} Name the dataset with --dataset.") from error
-        if len(held) != 1:
-            names = " and ".join(held) or "no dataset of Aria glasses"
-            raise UsageError(f"{root} holds {names}; give the folder of one dataset, or name it with --dataset.")
-        dataset = held[0]
+    dataset = dataset or held_dataset(root, datasets)
     if dataset not in datasets:
         known = ", ".join(datasets)
         raise UsageError(f"EgoAllo needs Aria glasses: --dataset must be one of {known}, not '{dataset}'.")
@@ -229,6 +221,22 @@ def pose_states(
         raise UsageError(f"no recording matches '{recordings}'; there are {len(found)} others.")
     for each in chosen[:limit]:
         yield _pose_state(root, each, poses_root)
+
+
+def held_dataset(root: Path, datasets: Collection[str]) -> str:
+    """Return the one of some datasets that a folder holds.
+
+    Raises:
+        UsageError: if there are none or several.
+    """
+    try:
+        held = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
+    except PrbenchError as error:
+        raise UsageError(f"{error} Name the dataset with --dataset.") from error
+    if len(held) != 1:
+        names = " and ".join(held) or f"none of {', '.join(datasets)}"
+        raise UsageError(f"{root} holds {names}; give the folder of one dataset, or name it with --dataset.")
+    return held[0]
 
 
 def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None) -> PoseState:

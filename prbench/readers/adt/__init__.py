@@ -13,6 +13,7 @@ from prbench.readers.adt.to_recording import ASSUMED_SIZE, prepared_trajectory, 
 from prbench.readers.egoallo.bodies import body_model
 from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.found import RecordingFiles
+from prbench.readers.three_point import attached
 from prbench.recording import Recording
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]
@@ -26,7 +27,8 @@ def read_recording(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> Re
     """Read one recording (see :class:`prbench.readers.Reader` for what it raises)."""
     manifest = load_manifest("adt")
     found.require_usable(manifest.why_bad(found.recording_id))
-    return recording_from_adt(read_readings(found, options), manifest, dataset=found.dataset, poses=options.poses)
+    read = recording_from_adt(read_readings(found, options), manifest, dataset=found.dataset, poses=options.poses)
+    return attached(read, found) if options.poses == "three-point" else read
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
+from prbench.readers.three_point import find_body
 from prbench.recording import Recording, UnreadableEntry
 
 
@@ -39,12 +40,13 @@ class AdtOptions(ReaderOptions, frozen=True, kw_only=True):
     """Options of the reader of Aria Digital Twin.
 
     Attributes:
-        poses: Source of bodies: the suit, or EgoAllo's estimates (the study's table S1). Hands stay the suit's.
+        poses: Source of bodies: the suit, EgoAllo's estimates (the study's table S1), or those of `prbench poses
+            three-point`, for which the suit's wrists stand in for devices. Hands stay the suit's.
         smplh_model: The licensed body model that EgoAllo's outputs need (``model.npz``).
         poses_root: Folder of EgoAllo's outputs by recording; beside the recordings by default.
     """
 
-    poses: Literal["native", "egoallo"] = "native"
+    poses: Literal["native", "egoallo", "three-point"] = "native"
     smplh_model: Path | None = None
     poses_root: Path | None = None
 
@@ -113,6 +115,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
         files = [input_file(role, path) for role, path in places.items() if is_present(path)]
         if options.poses == "egoallo":
             files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+        files += find_body(root, folder.name)
         recordings.append(RecordingFiles(dataset, folder.name, folder, tuple(files)))
     expected = f"recordings of ADT: folders that hold {adt.METADATA_FILE}"
     remedy = "Give the folder whose sub-folders are the recordings, or one recording."

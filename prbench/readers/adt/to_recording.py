@@ -28,7 +28,7 @@ _CONTACTS: tuple[tuple[streams.ContactPoint, tuple[int, int]], ...] = (
 )
 
 
-Poses = Literal["native", "egoallo"]
+Poses = Literal["native", "egoallo", "three-point"]
 
 
 def recording_from_adt(

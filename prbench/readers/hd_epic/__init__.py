@@ -16,6 +16,7 @@ from prbench.readers.hd_epic import files
 from prbench.readers.hd_epic.annotations import count_annotations
 from prbench.readers.hd_epic.files import HdEpicOptions, find_recordings, read_readings
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
+from prbench.readers.three_point import attached
 from prbench.recording import Recording
 
 __all__ = ["READER", "HdEpicOptions", "HdEpicReader", "find_recordings", "read_readings"]
@@ -43,7 +44,8 @@ class HdEpicReader:
         if self.options.events_only:  # what a video lacks beside its annotations does not matter
             return recording_from_hd_epic(files.read_annotations(found), manifest, dataset=found.dataset)
         found.require_usable(found.skip_reason or manifest.why_bad(found.recording_id))
-        return recording_from_hd_epic(read_readings(found), manifest, dataset=found.dataset)
+        read = recording_from_hd_epic(read_readings(found), manifest, dataset=found.dataset)
+        return attached(read, found) if self.options.poses == "three-point" else read
 
     @foreign_input()
     def annotation_counts(self, recordings: Sequence[RecordingFiles]) -> AnnotationCounts | None:

@@ -23,6 +23,7 @@ from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
+from prbench.readers.three_point import find_body
 from prbench.recording import Recording
 
 
@@ -31,14 +32,14 @@ class HdEpicOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_o
 
     Attributes:
         annotations: The annotation repository, where it does not lie beside the data.
-        poses: Source of bodies.
+        poses: Source of bodies: EgoAllo, or the files of `prbench poses three-point`.
         smplh_model: The licensed SMPL-H ``model.npz`` that turns EgoAllo's outputs into joints.
         poses_root: Folder of EgoAllo's outputs by video, where it is not ``egoallo`` below the root.
         events_only: List picks and puts from the annotations alone, on the video's own clock.
     """
 
     annotations: Path | None = None
-    poses: Literal["egoallo"] = "egoallo"
+    poses: Literal["egoallo", "three-point"] = "egoallo"
     smplh_model: Path | None = None
     poses_root: Path | None = None
     events_only: bool = False
@@ -111,7 +112,8 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
             *annotated,
             *mps_files,
         ]
-        for place in dict.fromkeys((root, data.parent)):
+        files += find_body(root, video)
+        for place in dict.fromkeys((root, data.parent)) if options.poses == "egoallo" else ():
             outputs = find_outputs(place, None, video, options.poses_root, smplh_model=options.smplh_model)
             files += outputs
             if outputs:

@@ -12,6 +12,7 @@ from prbench.readers.egoallo.files import aria_inputs
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.files import Hot3dOptions, extents, find_recordings, read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
+from prbench.readers.three_point import attached
 from prbench.recording import Recording
 
 __all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_readings"]
@@ -37,7 +38,8 @@ class Hot3dReader:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("hot3d")
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
-        return recording_from_hot3d(read_readings(found), manifest, dataset=found.dataset, meshes=self.options.meshes)
+        read = recording_from_hot3d(read_readings(found), manifest, dataset=found.dataset, meshes=self.options.meshes)
+        return attached(read, found) if self.options.poses == "three-point" else read
 
 
 READER = Hot3dReader()

@@ -29,6 +29,7 @@ from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, c
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.hands import read_profile, read_umetrack
+from prbench.readers.three_point import find_body
 from prbench.recording import Recording, UnreadableEntry
 
 
@@ -42,7 +43,7 @@ class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
         meshes: Load the objects' surfaces, for the in-hand rule ``surface``.
     """
 
-    poses: Literal["egoallo"] = "egoallo"
+    poses: Literal["egoallo", "three-point"] = "egoallo"
     smplh_model: Path | None = None
     poses_root: Path | None = None
     meshes: bool = False
@@ -103,7 +104,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
             metadata = None
         files = [input_file(METADATA, path)]
         files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
-        files += find_mps_files(folder / hot3d.MPS_FOLDER)
+        files += [*find_mps_files(folder / hot3d.MPS_FOLDER), *find_body(root, folder.name)]
         # The table of names, and the models of those objects that this recording tracks.
         bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
         places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
@@ -117,7 +118,8 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
                 uids = set(filter(str.isdecimal, table[OBJECT_ID].unique().to_pylist()))
             models = [(uid, library / f"{uid}.glb") for uid in sorted(uids)]
             files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
-        files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+        if options.poses == "egoallo":
+            files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
         tree = synthetic_tree_around(folder, root)
         dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
         reason = None if metadata is None else why_unusable(metadata)
