@@ -1,9 +1,10 @@
-"""Tables 3 and 4 of *Nymeria* in shape: runs beside the printed numbers (docs/specification/three-points.md#study)."""
+"""Tables 3 and 4 of *Nymeria* in shape: runs beside the printed numbers (docs/specification/three-points.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from prbench.board.collect import collect_runs
 from prbench.errors import RunError
@@ -35,7 +36,7 @@ def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
     for each in collected.rows:
         if each.record.benchmark != "three-points":
             raise RunError(f"{each.run}: expected a run of three-points, found one of {each.record.benchmark}.")
-        about = {"method": each.method, "condition": each.record.condition, "dataset": each.table.dataset}
+        about: Any = {"method": each.method, "condition": each.record.condition, "dataset": each.table.dataset}
         about["variant"] = "synthetic" if each.table.dataset.endswith("-suit") else "real"
         cells = [
             metric_cell(one.metric, one.unit, one.mean, one.low, one.high, recordings=one.recordings, **about)
@@ -48,7 +49,7 @@ def three_points_table(paths: Sequence[Path], *, with_published: bool) -> Table:
         printed: dict[tuple[str, ...], list[Cell]] = {}
         for number in printed_rows("prbench_benchmarks.three_points.published", "tables"):
             if number["table"] == table and number["metric"] in _SHOWN:  # not FID
-                about = {name: number[name] for name in ("method", "condition", "dataset", "metric", "note")}
+                about: Any = {name: number[name] for name in ("method", "condition", "dataset", "metric", "note")}
                 about |= {"variant": number["devices"], "unit": _SHOWN[number["metric"]].unit}
                 about["origin"] = f"published: Nymeria, Table {table}"
                 cell = Cell(value=float(number["value"]), **about)

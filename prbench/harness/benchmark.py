@@ -206,7 +206,7 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         """
         return of_distinct_datasets([self.open_table(folder) for folder in request.data])
 
-    def rules(self, request: RunRequest, tables: Sequence[Table]) -> Any:
+    def rules(self, request: RunRequest, tables: Sequence[Any]) -> Any:
         """Return the rules of a run on some tables: prbench's own protocol.
 
         Raises:
@@ -230,7 +230,7 @@ class Benchmark(ABC, Generic[Table, Chosen]):
             TableError: if there is none.
         """
 
-    def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:
+    def choose(self, request: RunRequest, tables: Sequence[Any]) -> list[Chosen]:
         """Choose the cases of each table; where single ones are asked for, only of the tables that hold one.
 
         Raises:

@@ -96,7 +96,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
         span = (round(device_start + row.start, 6), round(device_start + row.end, 6))
         texts.append(Narration(row.kind, *span, tuple(zip(answers[row.kind], row.texts, strict=True)), "annotator_1"))
 
-    def device(carrier: np.ndarray, place: np.ndarray, slips: tuple[float, ...], rng: np.random.Generator) -> Any:
+    def device(carrier: np.ndarray, place: np.ndarray, slips: Any, rng: np.random.Generator) -> Any:
         """Poses of what slips on a carrier with these turns (n, 3, 3), at these places."""
         slip = [wobble(motion.times, noise * slips[0], *slips[1:], rng) for _ in range(2)]
         worn = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))

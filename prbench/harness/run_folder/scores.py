@@ -67,15 +67,13 @@ _ROW_GROUP = 256 * 1024
 _KEYS = ["dataset", "sequence_id", "sample", "metric"]
 
 
-def long_form(
-    sequence_ids: Sequence[str], dataset: str, columns: Mapping[str, Float[np.ndarray, " n"]], sample: int = 0
-) -> pa.Table:
+def long_form(sequence_ids: Sequence[str], dataset: str, columns: Mapping[str, Float[np.ndarray, " n"]]) -> pa.Table:
     """Return rows of ``scores.parquet`` from one value a case in each metric; a case without a value has no row."""
     metrics = list(columns)
     values = np.stack([columns[name] for name in metrics], axis=1)
     case, metric = np.nonzero(np.isfinite(values))
-    rows = ([sequence_ids[row] for row in case], [dataset] * len(case), np.full(len(case), sample, dtype=np.int32))
-    rows += ([metrics[column] for column in metric], values[case, metric], [None] * len(case))
+    rows = ([sequence_ids[row] for row in case.tolist()], [dataset] * len(case), np.zeros(len(case), np.int32))
+    rows += ([metrics[column] for column in metric.tolist()], values[case, metric], [None] * len(case))
     return pa.Table.from_arrays([pa.array(each, kind) for each, kind in zip(rows, SCORES.types)], schema=SCORES)
 
 
