@@ -68,31 +68,28 @@ def prime(
     if given["boxes"].shape == (m, 3):
         given["boxes"] = np.stack([given["boxes"]] * 2, axis=1)
     given["valid"] = args.as_array("valid", np.ones(n) if valid is None else valid)
-    names = [str(number) for number in range(m)] if objects is None else list(objects)
-    verbs = [""] * m if actions is None else list(actions)
+    names = np.arange(m).astype(str) if objects is None else np.asarray(objects)
+    verbs = np.full(m, "") if actions is None else np.asarray(actions)
     shapes = {"times": (n,), "origins": (n, 3), "directions": (n, 3), "valid": (n,), "event_times": (m,)}
-    for name, shape in {**shapes, "boxes": (m, 2, 3)}.items():
-        if given[name].shape != shape:
-            raise UsageError(f"{name}: expected the shape {shape}, found {given[name].shape}.")
-    for name, listed in (("objects", names), ("actions", verbs)):
-        if len(listed) != m:
-            raise UsageError(f"{name}: expected {m} of them, one an event, found {len(listed)}.")
+    shapes |= {"boxes": (m, 2, 3), "objects": (m,), "actions": (m,)}
+    for name, array in {**given, "objects": names, "actions": verbs}.items():
+        if array.shape != shapes[name]:
+            raise UsageError(f"{name}: expected the shape {shapes[name]}, found {array.shape}.")
 
     clock, origin, direction, corners = (given[name] for name in ("times", "origins", "directions", "boxes"))
     known = (given["valid"] != 0) & np.isfinite(np.column_stack([clock, origin, direction])).all(axis=1)
     rows = np.flatnonzero(known)
-    length = np.linalg.norm(direction[rows], axis=1)
+    length = np.linalg.norm(direction, axis=1)
     later = np.diff(clock[rows], prepend=-np.inf) > 0
-    sides = np.isfinite(corners).all(axis=(1, 2)) & (corners[:, 0] <= corners[:, 1]).all(axis=1)
-    for name, numbers, good, expected in (
-        ("times", rows, later, "a time after the one before"),
-        ("directions", rows, length > 0, "a direction"),
-        ("event_times", np.arange(m), np.isfinite(given["event_times"]), "a time"),
-        ("boxes", np.arange(m), sides, "a lower and an upper corner"),
-    ):
-        if not good.all():
-            row = int(numbers[np.argmin(good)])
-            raise UsageError(f"{name}[{row}]: expected {expected}, found {given[name][row].tolist()}.")
+    checks = {
+        "times": (rows[~later], "a time after the one before"),
+        "directions": (np.flatnonzero(known & (length == 0)), "a direction"),
+        "event_times": (np.flatnonzero(~np.isfinite(given["event_times"])), "a time"),
+        "boxes": (np.flatnonzero(~(np.diff(corners, axis=1) >= 0).all(axis=(1, 2))), "a lower and an upper corner"),
+    }
+    for name, (bad, expected) in checks.items():
+        if bad.size:
+            raise UsageError(f"{name}[{bad[0]}]: expected {expected}, found {given[name][bad[0]].tolist()}.")
     constants = constants_of(priming_window=window, near_miss_distance=near_miss)
-    rays = (clock[rows], origin[rows], direction[rows] / length[:, None])
-    return prime_events(rays, corners, given["event_times"], names, verbs, constants)
+    rays = (clock[rows], origin[rows], direction[rows] / length[rows, None])
+    return prime_events(rays, corners, given["event_times"], names.tolist(), verbs.tolist(), constants)

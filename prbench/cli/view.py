@@ -141,13 +141,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.reader_options(remark="only those that name files or folders have to be said again")
 @opt.permission_option
 def explain(
-    event: str,
-    data: Path,
-    draw: Path | None,
-    picture: Path | None,
-    root: Path | None,
-    options: opt.Pairs,
-    permission: tuple[str, ...],
+    *, event: str, data: Path, draw: Path | None, picture: Path | None, root: Path | None, **given: Any
 ) -> Answer:
     """Tell what became of one event and why.
 
@@ -157,6 +151,7 @@ def explain(
 
     if (picture is None) != (root is None):
         raise UsageError("--picture FILE and --root DIR belong together: gaze stands in the recordings.")
+    permission = given["permission"]
     story = explain_event(data, event, permitted=permission)
     if draw is not None:
         draw_event_story(story, draw)
@@ -164,7 +159,7 @@ def explain(
     if picture is not None and root is not None:
         from prbench.viewing.looks import draw_event_looks
 
-        caption = draw_event_looks(data, story.event, root, picture, option=options, permitted=permission)
+        caption = draw_event_looks(data, story.event, root, picture, given["options"], permission)
     # The report takes the fields that it names; the others, such as places, stay out of it.
     told = {name: getattr(story.event, name) for name in ("event_id", "sequence_id", "recording_id", "outcome")}
     told["video"] = {name: float(text) for name, text in (story.event.video or {}).items()}

@@ -5,21 +5,28 @@ The rule is that of every build (:func:`prbench.curation.priming.find_prime`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from prbench.curation.events import Decision, Place
-from prbench.curation.priming import Rays, find_prime
+from prbench.curation.priming import Rays, find_prime, gaze_rays
 from prbench.errors import UsageError
+from prbench.files.bounded import require
 from prbench.geometry.timelines import require_overlap
-from prbench.protocol.manifests import CurationConstants, load_protocol
+from prbench.protocol.manifests import CurationConstants, load_manifest, load_protocol
+from prbench.readers.found import InputFile, RecordingFiles
+from prbench.readers.own import format as own
+from prbench.readers.own.files import Table, read_readings
+from prbench.readers.own.to_recording import recording_from_tables
+from prbench.recording import Recording
 
 
-@dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True)
 class PrimedEvent:
     """One event and the first look at its place.
 
@@ -49,8 +56,8 @@ class PrimedEvent:
     prime_time_uncertainty: float | None
     prime_margin: float | None
     event_confidence: float
-    box_min: Float[np.ndarray, "3"]
-    box_max: Float[np.ndarray, "3"]
+    box_min: tuple[float, ...]
+    box_max: tuple[float, ...]
 
 
 def constants_of(**given: float | None) -> CurationConstants:
@@ -101,5 +108,53 @@ def prime_events(
         distance = found.distance if primed else found.value
         margin = None if distance is None else constants.near_miss_distance - distance
         about = (name, action, time, "primed" if primed else "not_primed", *prime, margin)
-        events.append(PrimedEvent(*about, found.confidence, low, high))
+        corners = (tuple(low.tolist()), tuple(high.tolist()))
+        events.append(PrimedEvent(*about, found.confidence, *corners))
     return events
+
+
+def read_files(files: Mapping[str, Path], about: own.About) -> Recording:
+    """Read gaze, objects and events as the tables of a plain recording (docs/own-recordings.md).
+
+    Objects without poses stand still: their boxes are those of the world. Without a table of events, that of the
+    objects is one: a row for each event, with its box or point.
+
+    Args:
+        files: CSV or Parquet file of each table, by the table's name.
+        about: Units and axes.
+
+    Raises:
+        InputFileError: naming file, line and column of what does not fit.
+        StreamsDoNotOverlap: if the streams share no instant.
+    """
+    if "events" not in files:
+        files = {"events" if name == "objects" else name: path for name, path in files.items()}
+    for name in ("gaze", "events"):
+        if name not in files:
+            raise UsageError(f"--{name} FILE is needed, and --objects FILE where the events do not say places.")
+    listed = tuple(InputFile(f"{name}{path.suffix}", path, 0) for name, path in files.items())
+    found = RecordingFiles("own", "files", Path(), listed)
+    readings = read_readings(found, about)
+    objects = readings.tables.get("objects")
+    if objects is not None and "object_poses" not in readings.tables:
+        ids = objects.columns["object_id"]
+        still = Table(objects.path, {"object_id": ids, **dict.fromkeys(("time", *own.POINT), np.zeros(len(ids)))})
+        readings = dataclasses.replace(readings, tables={**readings.tables, "object_poses": still})
+    recording = recording_from_tables(readings, load_manifest("own"), found)
+    require(files["events"], *((False, entry.key, entry.expected, entry.found, "") for entry in recording.unreadable))
+    for event in recording.annotated_events:
+        expected = "a place: a point, a box, or an object with a box"
+        require(files["events"], (event.location is not None, event.native_key, expected, "none", ""))
+    return recording
+
+
+def prime_recording(recording: Recording, constants: CurationConstants) -> list[PrimedEvent]:
+    """Prime the events that a recording lists, each of which has a place."""
+    events = recording.annotated_events
+    boxes = [[event.location] * 2 if event.box_min is None else [event.box_min, event.box_max] for event in events]
+    corners = np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
+    times = np.array([event.event_time for event in events])
+    names = [event.object_name for event in events]
+    return prime_events(
+        gaze_rays(recording, "eye"), corners, times, names, [event.action for event in events], constants
+    )

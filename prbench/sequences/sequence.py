@@ -419,7 +419,7 @@ class Event:
             without a place.
         corrected: What a person said of it, why and who (docs/review.md); None where nobody did.
         unreadable: File and key of an annotation that could not be read, what was expected and found; None otherwise.
-        video: Where the video shows it: ``event_time``, ``prime_time`` (seconds of the video), ``event_frame`` and
+        video: Its place in the video: ``event_time``, ``prime_time`` (seconds of the video), ``event_frame`` and
             ``prime_frame`` (from 0); None where the dataset does not tell.
     """
 

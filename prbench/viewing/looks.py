@@ -83,13 +83,7 @@ def looks_around(
 
 
 def draw_event_looks(
-    data: Path,
-    event: Event,
-    root: Path,
-    path: Path,
-    *,
-    option: Mapping[str, str] | None = None,
-    permitted: Collection[str] = (),
+    data: Path, event: Event, root: Path, path: Path, option: Mapping[str, str], permitted: Collection[str]
 ) -> str:
     """Draw gaze over objects around one event of a table, and return the caption.
 
@@ -117,10 +111,9 @@ def draw_event_looks(
     recording = recording_of(table.info, event.recording_id, root, option)
     things = [track for track in recording.objects if track.object_id != event.object_id]
     if not recording.objects:
-        nearest = sorted(recording.annotated_events, key=lambda each: abs(each.event_time - event.event_time))
-        of_object = {each.object_id: each for each in reversed(nearest) if each.location is not None}
-        del of_object[event.object_id]
-        things = [_standing(each) for each in of_object.values()]
+        nearest = sorted(recording.annotated_events, key=lambda each: -abs(each.event_time - event.event_time))
+        of_object = {each.object_id: each for each in nearest if each.object_id != event.object_id}
+        things = [_standing(each) for each in of_object.values() if each.location is not None]
     constants = (table.described_protocol.protocol() or load_protocol()).curation
     rays = gaze_rays(recording, table.info.options.get("ray_origin", "eye"))
     looks = looks_around(rays, event, things, constants)
@@ -166,7 +159,7 @@ def draw_looks(events: Sequence[Looks], path: Path, constants: CurationConstants
         event = looks.event
         times = looks.times - event.event_time
         things.set_title(figure_text(f"{event.action} {event.object_name} at {event.event_time:.2f} s".strip()))
-        for panel, low, height in ((things, -0.5, len(looks.distances)), (curve, 0.0, _FARTHEST)):
+        for panel, low, height in ((things, -0.5, len(looks.distances)), (curve, -2.0, _FARTHEST + 2)):
             measured = _spells(times, (times >= -window) & (times <= 0))
             panel.broken_barh(measured, (low, height), color="0.93", linewidth=0, zorder=0)
             panel.set_ylim(low, low + height)

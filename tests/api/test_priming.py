@@ -83,7 +83,7 @@ def test_window_and_near_miss_are_the_users() -> None:
         pytest.param(changed("boxes", (0, 0, 0), np.nan), r"boxes\[0\]", id="a box without a corner"),
         pytest.param(changed("event_times", 1, np.nan), r"event_times\[1\]: expected a time, found nan", id="event"),
         pytest.param(GOOD | {"origins": np.zeros((59, 3))}, r"origins: expected the shape \(60, 3\)", id="shape"),
-        pytest.param(GOOD | {"objects": ["cup"]}, "objects: expected 2 of them", id="names"),
+        pytest.param(GOOD | {"objects": ["cup"]}, r"objects: expected the shape \(2,\), found \(1,\)", id="names"),
         pytest.param(GOOD | {"origins": "eye"}, "origins: expected numbers, found str", id="kind"),
         pytest.param(GOOD | {"window": 0.0}, "priming window: expected a number above 0, found 0", id="window"),
         pytest.param(GOOD | {"times": 1e3 * TIMES + 1e5}, "do not overlap", id="milliseconds"),

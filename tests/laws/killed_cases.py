@@ -173,6 +173,8 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
     )  # fmt: skip
     quoted = ", ".join(f'"{text}"' for text in arguments)
     (folder / "settings").mkdir()
+    (folder / "settings" / "gaze.csv").write_text("time,dx,dy,dz,ox,oy,oz\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n")
+    (folder / "settings" / "boxes.csv").write_text("time,action,object,x,y,z\n1,pick,cup,0,0,1\n")
     (folder / "settings" / "egoallo.toml").write_text(
         f'[egoallo]\npython = "{sys.executable}"\nfolder = "."\ncommand = [{quoted}]\ntimeout_minutes = 0.5\n'
     )
@@ -281,6 +283,7 @@ WRITING = (
     Writing("review --out", "review {built} --root {adt} --out {out}", "r.html", heavy=True),
     Writing("explain --draw", "explain --data {table} {event} --draw {out}", "e.png", heavy=True),
     Writing("explain --out", "explain --data {table} {event} --out {out}", "e.json"),
+    Writing("prime --out", "prime --gaze {settings}/gaze.csv --objects {settings}/boxes.csv --out {out}", "p.json"),
     Writing("inspect --out TABLE", "inspect {table} --out {out}", "s.json"),
     Writing("inspect --out", "inspect {adt} --out {out}", "i.json"),
     Writing("diff --out", "diff {table} {table} --out {out}", "d.json"),

@@ -21,7 +21,7 @@ from tests.cli.reports import reported
 from tests.curation.scenes import LOOK_A, PICK, PLACE_A, PROTOCOL, scene, track
 from tests.viewing.test_review import made
 
-CORNERS = (PLACE_A - 0.05, PLACE_A + 0.05)
+CORNERS = (tuple(PLACE_A - 0.05), tuple(PLACE_A + 0.05))
 EVENT = PrimedEvent("cup", "pick", PICK, "primed", LOOK_A, "hit", PICK - LOOK_A, 0.03, 0.05, 1.0, *CORNERS)
 
 

@@ -98,16 +98,20 @@ def read_about(found: RecordingFiles) -> own.About:
     return structured(path, read_toml(path, "a recording's TOML file", _PAGE), own.About, remedy=_PAGE)
 
 
-def read_readings(found: RecordingFiles) -> Readings:
+def read_readings(found: RecordingFiles, about: own.About | None = None) -> Readings:
     """Read one recording.
+
+    Args:
+        found: Its files; a role is the name that a file has in a recording.
+        about: Units and axes, where no ``recording.toml`` tells them.
 
     Raises:
         InputFileError: for a missing column, a row that cannot be, or two files of one table.
     """
-    about = read_about(found)
+    about = about or read_about(found)
     paths: dict[str, Path] = {}
-    for path in (file.path for file in found.files if file.role != own.ABOUT_FILE):
-        earlier = paths.setdefault(path.stem, path)
+    for role, path in ((file.role, file.path) for file in found.files if file.role != own.ABOUT_FILE):
+        earlier = paths.setdefault(Path(role).stem, path)
         remedy = "Remove the one that is out of date."
         require(path, (earlier == path, "", "one file a table", f"{earlier.name} beside it", remedy))
     events = _read_events(paths["events"], about) if "events" in paths else {}
@@ -123,7 +127,7 @@ def _numbering(path: Path) -> tuple[str, int]:
 def _known_columns(path: Path, name: str, about: own.About) -> tuple[str, ...]:
     """Return the known columns of a table; refuse one that lacks some, or contradicts what is stated."""
     required, *optional = own.columns_of(name, about)
-    header = read_header(path) if path.suffix == ".csv" else list(_read_parquet(path, {}))
+    header = read_names(path)
     begun = [group for group in optional if any(column in header for column in group)]
     wanted = (*required, *(column for group in begun for column in group))
     skeleton = f" (skeleton '{about.body.skeleton}')" if name == "body" else ""
@@ -138,6 +142,11 @@ def _known_columns(path: Path, name: str, about: own.About) -> tuple[str, ...]:
     remedy = "Name the columns after what they hold, or correct the key."
     require(path, (len(order) < 4 or order == stated, "header", expected, ", ".join(order), remedy))
     return wanted
+
+
+def read_names(path: Path) -> list[str]:
+    """Return the names of a table's columns."""
+    return read_header(path) if path.suffix == ".csv" else list(_read_parquet(path, {}))
 
 
 def _read_parquet(path: Path, kinds: Mapping[str, type]) -> dict[str, np.ndarray]:
@@ -156,7 +165,7 @@ def _read_parquet(path: Path, kinds: Mapping[str, type]) -> dict[str, np.ndarray
     return read
 
 
-def _cells(path: Path, columns: Sequence[str], texts: Collection[str] = own.TEXTS) -> dict[str, np.ndarray]:
+def read_cells(path: Path, columns: Sequence[str], texts: Collection[str] = own.TEXTS) -> dict[str, np.ndarray]:
     """Read some columns: numbers, NaN where there is none, and texts."""
     kinds: dict[str, type] = {column: str if column in texts else float for column in columns}
     if path.suffix != ".csv":
@@ -174,13 +183,13 @@ def _read_events(path: Path, about: own.About) -> dict[str, dict[str, str]]:
     if path.suffix == ".csv":
         header, lines = read_lines(path, columns, _PAGE)
         return {f"line {line}": dict(zip(header, cells, strict=False)) for line, cells in lines}
-    cells = zip(*_cells(path, columns, columns).values(), strict=True)
+    cells = zip(*read_cells(path, columns, columns).values(), strict=True)
     return {f"row {row}": dict(zip(columns, texts, strict=True)) for row, texts in enumerate(cells, start=1)}
 
 
 def _read_table(path: Path, name: str, about: own.About) -> Table:
     """Read the rows of one table in which something was measured; refuse it for whatever one table alone can tell."""
-    cells = _cells(path, _known_columns(path, name, about))
+    cells = read_cells(path, _known_columns(path, name, about))
     place, first = _numbering(path)
     refuse = partial(require_rows, path, place=place, first=first)
     numbers = [column for column in cells if column not in {"time", *own.TEXTS}]

@@ -70,6 +70,10 @@ def recording_from_tables(readings: Readings, manifest: Manifest, found: Recordi
     events, unreadable = _events(readings, known, manifest.thresholds)
     ends = ends or [event.event_time for event in events] or [0.0]
     told = {"messages": tuple(messages), "annotated_events": tuple(events), "unreadable": tuple(unreadable)}
+    if about.video is not None:
+        start = about.video.start * about.seconds
+        shown = np.array([start, max(*ends, start + 1 / about.video.fps)])
+        told["video"] = streams.Video(shown, (shown - start) * about.video.fps, about.video.fps)
     world_from_source = np.eye(4)
     world_from_source[:3, :3] = about.turn * about.metres
     return replace(known, span=(min(ends), max(ends)), world_from_source=world_from_source, **told)
