@@ -292,11 +292,14 @@ def table_answer(
 
     def show() -> None:
         from prbench.curation.job import funnel_rows
+        from prbench.sequences.table import why_no_sequences
 
         for report in reports:
             print_stages(f"{report.info.title}: from files to sequences", funnel_rows(report.info))
             if annotations is not None:
                 print_annotations(annotations)
+            if not report.info.counts.sequences and not report.info.outcomes.get("annotation_only"):
+                print(f"0 sequences: {why_no_sequences(report.info)}")
             print(f"table: {report.folder}")
         for each in broken:
             print(f"no table of {each.dataset} in {each.root}: {each.message}")

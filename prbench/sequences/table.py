@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float
 
+from prbench.datasets import OWN, layout_of
 from prbench.errors import TableError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import Joint
@@ -305,6 +306,9 @@ def why_no_sequences(info: DatasetInfo) -> str:
     if not became:
         return f"{counted}, and no candidate event was found in them."
     bodies = " Bodies can be estimated: `prbench poses egoallo`." if info.outcomes.get("no_body") else ""
+    if bodies and layout_of(info.dataset) == OWN:
+        bodies = f" {counts.primed} events have prime times in events.parquet; sequences need bodies: a body table"
+        bodies += " (docs/own-recordings.md)."
     return f"{counted}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 
 

@@ -60,6 +60,7 @@ from tests.readers.damages import (
 from tests.readers.hd_epic_copies import FIRST, write_copy
 from tests.readers.hot3d_trees import first_seconds, write_tree
 from tests.readers.mps_files import gaze_lines, trajectory_lines, write_lines
+from tests.readers.own.plain import write_short
 from tests.recording.mogaze_scene import N, write_scene
 from tests.shared import made_once
 
@@ -652,7 +653,37 @@ SERVICES = {
     "an error of gaze": _error("eye_gaze"),
 }
 
+TOML = "one/recording.toml"
+OWN = {
+    "unknown key": told(replace_text(TOML, "participant", "partcipant"), TOML, "Did you mean 'participant'"),
+    "unknown unit": told(replace_text(TOML, '"m"', '"inch"'), "units.length", "m, cm, mm", "inch"),
+    "no unit": told(replace_text(TOML, 'length = "m"', ""), "units", "required field `length`"),
+    "unknown skeleton": told(replace_text(TOML, "smpl22", "smplx55"), "body", "Did you mean 'smplx-55'"),
+    "no right angle": told(replace_text(TOML, 'up = "y"\n\n[gaze]', 'up = "z"\n\n[gaze]'), "head", "no right angle"),
+    "left-handed": told(replace_text(TOML, '"right"', '"left"'), "body.csv", "mirrored", "axes.handed"),
+    "order of quaternions": told(replace_text(TOML, "wxyz", "xyzw"), "csv, header", "qx, qy, qz, qw", "qw, qx"),
+    "no column": told(set_cell("one/gaze.csv", 1, 1, "d_x"), "gaze.csv, header", "'dx'", "Did you mean 'd_x'"),
+    "no joint": told(set_cell("one/body.csv", 1, 1, "hips_x"), "body.csv, header", "'pelvis_x'", "skeleton 'smpl22'"),
+    "half a point": told(set_cell("one/wrists.csv", 5, 3, ""), "wrists.csv, line 5", "x, y, z", "nan", "empty"),
+    "infinite": told(set_cell("one/object_poses.csv", 7, 2, "inf"), "object_poses.csv, line 7", "finite", "inf"),
+    "word for a number": told(set_cell("one/gaze.csv", 4, 2, "left"), "gaze.csv, line 4", "'left'"),
+    "no time": told(set_cell("one/body.csv", 6, 0, ""), "body.csv, line 6, column 'time'", "nan"),
+    "clock backwards": told(swap_lines("one/body.csv", 10, 11), "body.csv, line 11, column 'time'", "after", "Sort"),
+    "object's clock": told(swap_lines("one/object_poses.csv", 3, 4), "line 4, column 'time'", "after", "Sort"),
+    "long quaternion": told(edit_cells("one/object_poses.csv", 9, lambda cells: [*cells[:-4], "2", "0", "0", "0"]),
+                            "object_poses.csv, line 9", "length of 1", "2.0"),
+    "gaze at a point": told(edit_cells("one/gaze.csv", 9, lambda cells: [cells[0], "0", "0", "9", *cells[4:]]),
+                            "gaze.csv, line 9", "length of 1", "9.0", "Divide"),
+    "third hand": told(set_cell("one/wrists.csv", 3, 1, "middle"), "wrists.csv, line 3, column 'side'", "left|right"),
+    "unknown object": told(set_cell("one/objects.csv", 2, 0, "cupp"), "object_poses.csv", "ids of objects.csv"),
+    "object twice": told(edit_lines("one/objects.csv", lambda lines: lines.append(lines[1])), "objects.csv", "twice"),
+    "two files": told(write_text("one/gaze.parquet", ""), "gaze.csv", "one file a table", "gaze.parquet beside it"),
+    "no Parquet": told(lambda folder: (folder / "one/gaze.csv").rename(folder / "one/gaze.parquet"), "a Parquet file"),
+    "no events' time": told(set_cell("one/events.csv", 1, 0, "when"), "events.csv, header", "'time', or 'frame'"),
+}  # fmt: skip
+
 BAD_INPUT = [
+    *bad_files("a plain recording", copy_of("own-short", write_short), _reads("own"), OWN),
     *bad_files("files of the services", copy_of("mps-files", _services), _read_services, SERVICES),
     *bad_files("an ADT recording", write_adt, _reads("adt"), ADT),
     *bad_files("a HOT3D recording", copy_of("hot3d-two-seconds", write_hot3d), _reads("hot3d"), HOT3D),

@@ -199,7 +199,7 @@ def _events(
         name = row["object"]
         same = [each for each, label in names.items() if label == name]
         name = same[0] if name not in names and len(same) == 1 else name
-        known = f"an object of the recording.{did_you_mean(name, names)}".rstrip(".")
+        known = f"an object of the recording.{did_you_mean(name, [*names, *names.values()])}".rstrip(".")
         action = row["action"].lower()
         hand = row.get("hand", "").lower()
         instant = float(numbers("time")[0] * about.seconds)

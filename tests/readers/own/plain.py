@@ -43,6 +43,18 @@ def write_plain(
     return folder
 
 
+def write_short(folder: Path) -> Path:
+    """Write the first three seconds of a recording with every table, as CSV in metres and seconds."""
+    tables = plain_tables(recording_of("mogaze"), METRES)
+    for name, rows in tables.items():
+        if "time" in rows and name != "events":
+            early = np.asarray(rows["time"]) < 3.0
+            tables[name] = {column: np.asarray(values)[early] for column, values in rows.items()}
+    tables["events"] = {column: values[:1] for column, values in tables["events"].items()} | {"time": [2.0]}
+    write_recording(folder / "one", METRES, tables, suffix=".csv")
+    return folder
+
+
 def plain_tables(recording: Recording, about: own.About) -> dict[str, dict[str, Any]]:
     """Return the tables of a recording in another world: only signs and columns change, no matrix is needed."""
     length = {"m": 1.0, "cm": 100.0, "mm": 1000.0}[about.units.length]
