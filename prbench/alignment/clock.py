@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.timelines import covered, slerp
@@ -124,17 +124,20 @@ def _refined(segment: Signal, device: Signal, offset: float, second_peak: float)
 
 
 def angular_speed(stream: PoseStream) -> Signal | None:
-    """Angular speed of a stream's valid poses at 100 Hz; samples next to a gap are invalid. None below a second."""
+    """Angular speed of a stream's valid poses at 100 Hz; samples beside a gap are invalid. None below a second."""
     times = stream.times[stream.valid]
     if len(times) == 0 or not 1.0 <= times[-1] - times[0] <= _LONGEST_OF_CORRELATION / RATE:
         return None
     grid = np.arange(times[0], times[-1], 1.0 / RATE)
     turned = Rotation.from_quat(slerp(times, stream.rotation[stream.valid], grid), scalar_first=True)
-    speed = (turned[:-1].inv() * turned[1:]).magnitude() * RATE
+    velocity = (turned[:-1].inv() * turned[1:]).as_rotvec() * RATE
     steady = covered(times, np.ones(len(times), dtype=bool), grid, max_gap=LONGEST_GAP)
     valid = steady[:-1] & steady[1:]
+    # Smoothed as vectors, because the length of noise never averages to zero; what a gap was mixed into is invalid.
+    smooth = gaussian_filter1d(np.where(valid[:, None], velocity, 0.0), _SMOOTHING * RATE, axis=0, truncate=4.0)
+    valid = minimum_filter1d(valid, size=2 * round(4.0 * _SMOOTHING * RATE) + 1)
     # A speed between two samples belongs to the middle between them.
-    return float(grid[0]) + 0.5 / RATE, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * RATE), valid
+    return float(grid[0]) + 0.5 / RATE, np.linalg.norm(smooth, axis=1), valid
 
 
 def best_agreement(first: Signal, second: Signal, *, within: float = np.inf) -> tuple[float, float, float]:
