@@ -187,7 +187,7 @@ def _measures(recording: Recording) -> Iterator[tuple[str, str, float, float, fl
     for name, stream in {"gaze": recording.gaze, "head": recording.head, "body": recording.body}.items():
         if stream is not None and len(stream.times) > 1:
             yield "clock", f"{name}: samples a second", 1 / np.median(np.diff(stream.times)), 1, 2500
-    streams = gridded(recording, np.arange(start, min(end, start + _LONGEST), 1 / RATE))
+    streams = gridded(recording, np.arange(start, max(start + 1, min(end, start + _LONGEST)), 1 / RATE))
     if streams.head is not None and streams.head[1].any():
         points, known = streams.head
         if recording.gaze.valid.any():

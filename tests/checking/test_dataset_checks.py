@@ -161,3 +161,8 @@ def test_a_fault_in_own_recordings_is_named(name, tmp_path):
     for folder in ("one", "two"):
         write_recording(tmp_path / folder, msgspec.structs.replace(METRES, **said), tables)
     assert list(outcomes("own", tmp_path)) == [expected] * bool(expected)
+
+
+@pytest.mark.parametrize("dataset", ["adt", "hot3d", "hd-epic"])
+def test_real_samples_have_no_fault(samples, dataset):
+    assert set(outcomes(dataset, samples / dataset)) <= {"build"}  # of a few seconds no sequences come
