@@ -7,7 +7,7 @@ from it where ``time`` is ``sinusoidal``: a row knows how long ago it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal, cast
 
 import msgspec
 import torch
@@ -78,7 +78,7 @@ class Regressor(nn.Module):
         stream = self.linear_embedding(windows)
         if self.configuration.time == "sinusoidal":
             stream = stream + sinusoid_table(windows.shape[1], self.configuration.width).flip(0).to(stream)
-        for layer in self.transformer_encoder.layers:
+        for layer in cast("Any", self.transformer_encoder.layers):
             # Nothing reads other rows of the last layer.
             rows = stream[:, -1:] if layer is self.transformer_encoder.layers[-1] else stream
             rows = layer.norm1(rows + layer.dropout1(layer.self_attn(rows, stream, stream, need_weights=False)[0]))
@@ -105,7 +105,7 @@ class Regressor(nn.Module):
         predicted, recorded = columns
         root = functional.l1_loss(predicted[:, 0], recorded[:, 0])
         rotations = functional.l1_loss(predicted[:, 1:], recorded[:, 1:])
-        positions = functional.l1_loss(*joints)
+        positions = functional.l1_loss(joints[0], joints[1])
         loss = self.configuration.root_weight * root + rotations + positions
         return {"loss": loss, "root": root, "rotations": rotations, "positions": positions}
 

@@ -49,7 +49,7 @@ class LearnedTracker:
             devices = (each[row, part] for each in (batch.position, batch.rotation, batch.valid, batch.rotation_valid))
             own = int(named_generator("three-points", seed, key).integers(2**63 - 1))
             times = np.arange(batch.n_frames[row]) / batch.fps
-            joints[row, part] = self.estimate(times, *devices, batch.offsets[row], seed=own)
+            joints[row, part] = self.estimate(times, *devices, offsets=batch.offsets[row], seed=own)
         return Bodies(joints=joints)
 
     @torch.no_grad()
@@ -94,7 +94,7 @@ class LearnedTracker:
             for first in range(0, len(run), _PIECE):
                 # A window reaches back into the piece before.
                 piece = run[max(first - shape.window, 0) : first + _PIECE]
-                rows = track_values(*(each[piece] for each in devices), shape.fps).to(self.device)
+                rows = track_values(*(each[piece] for each in devices), fps=shape.fps).to(self.device)
                 local = self.network.rotations(rows, seed).cpu()
                 bodies = joints_under_head(local, bones, torch.from_numpy(devices[0][piece, 0].astype(np.float64)))
                 found[run[first : first + _PIECE]] = bodies[-len(run[first : first + _PIECE]) :].numpy()

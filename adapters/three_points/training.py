@@ -85,7 +85,7 @@ class TracksDataset(DrawnDataset):
 
     def _take(self, track: SequenceChunk, fps: float) -> None:
         position, rotation, *masks = (track.frames(name) for name in _DEVICES)
-        rows = features.track_values(position.reshape(-1, 3, 3), rotation.reshape(-1, 3, 4), *masks, fps)
+        rows = features.track_values(position.reshape(-1, 3, 3), rotation.reshape(-1, 3, 4), *masks, fps=fps)
         local = torch.from_numpy(rotation_matrices(track.frames("rotations").reshape(-1, 22, 4)))
         offsets = torch.from_numpy(track.vectors("offsets").reshape(22, 3).copy())
         self._places += [(len(self._tracks), start) for start in range(0, len(rows) - self.window + 1, int(fps))]
