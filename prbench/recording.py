@@ -317,9 +317,8 @@ class Video:
     def told(self, moments: Mapping[str, float | None]) -> dict[str, str]:
         """Return ``<name>_time`` (seconds of the video) and ``<name>_frame`` of each moment that the video shows."""
         said = {}
-        half = 0.5 / self.fps
         for name, time in moments.items():
-            if time is not None and self.times[0] - half <= time <= self.times[-1] + half:
+            if time is not None and self.times[0] - 0.5 / self.fps <= time <= self.times[-1] + 0.5 / self.fps:
                 frame = float(np.interp(time, self.times, self.frames))
                 said |= {f"{name}_time": f"{frame / self.fps:.3f}", f"{name}_frame": str(round(frame))}
         return said

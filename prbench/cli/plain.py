@@ -1,4 +1,7 @@
-"""``prbench prime``: when gaze first met the place of each event, from files of gaze, objects and events."""
+"""``prbench prime``: when gaze first met the place of each event, from files of gaze, objects and events.
+
+``prbench plain-recording``: plain recordings out of what other programs write (docs/own-recordings.md).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,9 @@ import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command
@@ -78,3 +84,34 @@ def prime(*, files: dict[str, Path], about: About, picture: Path | None, window:
             print(f"caption: {caption}\npicture: {picture}")
 
     return Answer(events, show)
+
+
+_SOURCES = {
+    "aria": "SOURCE is a folder of Project Aria's Machine Perception Services: head, gaze and wrists.",
+    "csv": "No SOURCE, but tables of any column names.",
+    "rerun": "SOURCE is an .rrd (pip install 'prbench[rerun]'): head, gaze, wrists, body and boxes.",
+}
+_PLAIN = "prbench plain-recording csv --head head.csv --gaze gaze.csv --column time=ts --out own/P01"
+_NAMES = "Name of a column in the files, such as time=ts or gaze.time=ts; of rerun the entity of head, gaze, left and"
+_NAMES += " right (wrist) or body, and the timeline, such as gaze=world/eye (default: found by name); repeatable."
+
+
+@command("plain-recording", example=_PLAIN, items=_SOURCES, report="prbench.readers.own.convert:Converted")
+@click.argument("kind", type=click.Choice([*_SOURCES]))
+@click.argument("source", type=opt.PATH, required=False)
+@opt.out_folder_option("Folder of the recording.", required=True)
+@opt.option("--participant", "Name of the person (default: that of the folder).", default="", metavar="NAME")
+@opt.pairs_option("--column", "named", _NAMES, metavar="OURS=THEIRS")
+@_file_options
+def plain_recording(*, about: About, participant: str, **given: Any) -> Answer:
+    """Write a plain recording, which `prbench build-dataset own` reads, out of what another program has written."""
+    from prbench.readers.own.convert import convert
+
+    done = convert(about=msgspec.structs.replace(about, participant=participant), **given)
+
+    def show() -> None:
+        for line in (*(f"{name}: {count} rows" for name, count in done.rows.items()), *done.remarks):
+            print(line)
+        print(f"plain recording: {done.out}; its recording.toml says units and axes")
+
+    return Answer(done, show)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -20,10 +21,10 @@ from prbench.files.bounded import require
 from prbench.geometry.timelines import require_overlap
 from prbench.protocol.manifests import CurationConstants, load_manifest, load_protocol
 from prbench.readers.found import InputFile, RecordingFiles
-from prbench.readers.own import format as own
-from prbench.readers.own.files import Table, read_readings
-from prbench.readers.own.to_recording import recording_from_tables
 from prbench.recording import Recording
+
+if TYPE_CHECKING:
+    from prbench.readers.own import format as own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,12 +105,12 @@ def prime_events(
     for (low, high), time, name, action in zip(boxes, event_times.tolist(), objects, actions, strict=True):
         found = find_prime(*rays, Place((low + high) / 2, low, high), time, constants)
         primed = not isinstance(found, Decision)
-        prime = (found.time, found.kind, time - found.time, found.uncertainty) if primed else (None,) * 4
+        prime = (found.time, found.kind, time - found.time, found.uncertainty) if primed else (None, None, None, None)
         distance = found.distance if primed else found.value
         margin = None if distance is None else constants.near_miss_distance - distance
-        about = (name, action, time, "primed" if primed else "not_primed", *prime, margin)
-        corners = (tuple(low.tolist()), tuple(high.tolist()))
-        events.append(PrimedEvent(*about, found.confidence, *corners))
+        asked = (name, action, time, "primed" if primed else "not_primed")
+        about: Any = (*asked, *prime, margin, found.confidence, tuple(low.tolist()), tuple(high.tolist()))
+        events.append(PrimedEvent(*about))
     return events
 
 
@@ -127,6 +128,10 @@ def read_files(files: Mapping[str, Path], about: own.About) -> Recording:
         InputFileError: naming file, line and column of what does not fit.
         StreamsDoNotOverlap: if the streams share no instant.
     """
+    # Late: arrays alone need no pandas.
+    from prbench.readers.own.files import Table, read_readings
+    from prbench.readers.own.to_recording import recording_from_tables
+
     if "events" not in files:
         files = {"events" if name == "objects" else name: path for name, path in files.items()}
     for name in ("gaze", "events"):
@@ -138,10 +143,11 @@ def read_files(files: Mapping[str, Path], about: own.About) -> Recording:
     objects = readings.tables.get("objects")
     if objects is not None and "object_poses" not in readings.tables:
         ids = objects.columns["object_id"]
-        still = Table(objects.path, {"object_id": ids, **dict.fromkeys(("time", *own.POINT), np.zeros(len(ids)))})
+        still = Table(objects.path, {"object_id": ids, **dict.fromkeys(("time", "x", "y", "z"), np.zeros(len(ids)))})
         readings = dataclasses.replace(readings, tables={**readings.tables, "object_poses": still})
     recording = recording_from_tables(readings, load_manifest("own"), found)
     require(files["events"], *((False, entry.key, entry.expected, entry.found, "") for entry in recording.unreadable))
+    require(files["events"], (recording.annotated_events, "", "an event or more", "none", ""))
     for event in recording.annotated_events:
         expected = "a place: a point, a box, or an object with a box"
         require(files["events"], (event.location is not None, event.native_key, expected, "none", ""))

@@ -116,8 +116,7 @@ def draw_event_looks(
         things = [_standing(each) for each in of_object.values() if each.location is not None]
     constants = (table.described_protocol.protocol() or load_protocol()).curation
     rays = gaze_rays(recording, table.info.options.get("ray_origin", "eye"))
-    looks = looks_around(rays, event, things, constants)
-    return draw_looks([looks], path, constants, notice(table.info, permitted))
+    return draw_looks([looks_around(rays, event, things, constants)], path, constants, notice(table.info, permitted))
 
 
 def _standing(event: AnnotatedEvent) -> ObjectTrack:
@@ -153,7 +152,7 @@ def draw_looks(events: Sequence[Looks], path: Path, constants: CurationConstants
     heights = [(_ROW * len(looks.distances), _CURVE) for looks in events]
     sizes = [sum(height) + _BETWEEN for height in heights]
     figure = new_figure(COLUMN, sum(sizes) + 0.3, layout="constrained")
-    blocks = np.atleast_1d(figure.subfigures(len(events), 1, height_ratios=sizes))
+    blocks = figure.subfigures(len(events), 1, squeeze=False, height_ratios=sizes)[:, 0]
     for block, looks, ratios in zip(blocks, events, heights, strict=True):
         things, curve = block.subplots(2, 1, sharex=True, height_ratios=ratios)
         event = looks.event
@@ -181,8 +180,7 @@ def draw_looks(events: Sequence[Looks], path: Path, constants: CurationConstants
         curve.plot(times, np.where(lost | (distance > _FARTHEST), np.nan, distance), color=GAZE_COLOUR)
         curve.axhline(100 * near, color="0.4", linewidth=0.6, linestyle=":")
         curve.set(xlim=(-window - _AROUND, _AROUND), ylabel="gaze to place (cm)")
-    curve.set_xlabel("seconds from the event")
-    figure.supxlabel(figure_text(remark), fontsize=6)
+    figure.supxlabel(figure_text(f"seconds from the event\n{remark}".strip()))
     caption = (
         f"Gaze over objects: full bars, the gaze ray hits the object's box; thin bars, it passes within"
         f" {near * 100:g} cm. Bold: the place of the event; below, the distance at which gaze passes it (dotted:"

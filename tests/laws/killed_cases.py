@@ -283,6 +283,7 @@ WRITING = (
     Writing("review --out", "review {built} --root {adt} --out {out}", "r.html", heavy=True),
     Writing("explain --draw", "explain --data {table} {event} --draw {out}", "e.png", heavy=True),
     Writing("explain --out", "explain --data {table} {event} --out {out}", "e.json"),
+    Writing("plain-recording --out", "plain-recording csv --gaze {settings}/gaze.csv --out {out}"),
     Writing("prime --out", "prime --gaze {settings}/gaze.csv --objects {settings}/boxes.csv --out {out}", "p.json"),
     Writing("inspect --out TABLE", "inspect {table} --out {out}", "s.json"),
     Writing("inspect --out", "inspect {adt} --out {out}", "i.json"),
