@@ -268,7 +268,7 @@ def structured(path: Path, values: Any, form: type[Form], *, remedy: str = "") -
         kind: Any = form
         for key in re.sub(r"\[.*?\]|`", "", place).split(".") if place else []:  # one kind of two may be None
             if isinstance(kind, msgspec.StructMeta):
-                kind = {field.name: field.type for field in msgspec.structs.fields(kind)}.get(key)
+                kind = {field.name: field.type for field in msgspec.structs.fields(typing.cast(Any, kind))}.get(key)
             kind = next((each for each in typing.get_args(kind) if isinstance(each, msgspec.StructMeta)), kind)
         choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
         known = getattr(kind, "__struct_fields__", choices)

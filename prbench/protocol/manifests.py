@@ -313,7 +313,7 @@ def load_manifest(dataset: str) -> Manifest:
 
 @foreign_input()
 def read_own_manifest(path: Path) -> Manifest:
-    """Read a user's manifest of own recordings (docs/own-recordings.md#a-manifest).
+    """Read a user's manifest of own recordings (docs/own-recordings.md#build).
 
     Args:
         path: TOML with ``name``, ``licence``, ``redistribution`` and any other key of a manifest.

@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 
 from prbench.board.submission import Submission, open_submission
@@ -25,6 +26,7 @@ from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.harness.methods.programs import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions_file
 from prbench.protocol.own_protocol import read_protocol
+from prbench.readers.own.format import SUFFIXES, TABLES
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench_adapters.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
@@ -33,6 +35,7 @@ from prbench_adapters.training.weights import read_weights
 from tests.fakes import fake_dataset
 from tests.fuzz.judging import Seen
 from tests.harness.offline import method
+from tests.readers.own.plain import write_short
 from tests.release.releases import rows, write_release
 
 UNFORESEEN_WORDS = "expected content that prbench can read, found what ends in"
@@ -90,6 +93,18 @@ def _parts(value: object) -> Iterator[bytes]:
         yield repr(value).encode()
 
 
+_PLAIN = tuple(f"{name}{suffix}" for name in TABLES for suffix in SUFFIXES)
+"""Tables of plain recordings, which people write: each may be of any length, or not there."""
+
+
+def _plain(folder: Path) -> None:
+    write_short(folder / "input")
+    for name in ("gaze", "events"):
+        table = folder / "input" / "one" / f"{name}.csv"
+        pd.read_csv(table).to_parquet(table.with_suffix(".parquet"))
+        table.unlink()
+
+
 def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
     def make(folder: Path) -> None:
         synthesize_tree(
@@ -112,6 +127,8 @@ def _dataset(layout: str, *, estimates: bool = False, **options: str) -> Door:
         told += [str(entry) for recording in recordings for entry in recording.unreadable]
         return Seen(digest_of(recordings), tuple(told))
 
+    if layout == "own":
+        return Door("own", _plain, look, optional=_PLAIN, knows_whole=False)
     # The authors' priming: a dataset is built without it unless it is asked for.
     return Door("adt-egoallo" if estimates else layout, make, look, optional=("priming_info.json",))
 
@@ -326,13 +343,14 @@ def _windows(folder: Path) -> None:
 def _built(layout: str) -> Door:
     door = _dataset(layout)
     words = ("build-dataset", layout, "--root", "FOLDER/input", "--out", "FOLDER/table")
-    return _command(f"build-{layout}", door.make, *words, out="table")
+    command = _command(f"build-{layout}", door.make, *words, out="table")
+    return dataclasses.replace(command, optional=door.optional, knows_whole=door.knows_whole)
 
 
 LAYOUTS = ("adt", "gimo", "hd-epic", "hot3d", "mogaze")
 
 READERS = (
-    *(_dataset(layout) for layout in LAYOUTS),
+    *(_dataset(layout) for layout in (*LAYOUTS, "own")),
     _dataset("adt", estimates=True, poses="egoallo", smplh_model="INPUT/smplh/neutral/model.npz"),
     _corpus("nymeria"),
     _corpus("humanml3d"),
@@ -353,7 +371,7 @@ READERS = (
 """Functions that read."""
 
 COMMANDS = (
-    *(_built(layout) for layout in LAYOUTS),
+    *(_built(layout) for layout in (*LAYOUTS, "own")),
     dataclasses.replace(
         _command("build-corpus", _corpus("humanml3d").make, "build-corpus", "humanml3d", "--root", "FOLDER/input",
                  "--out", "FOLDER/corpus", out="corpus"),

@@ -21,8 +21,9 @@ DAMAGES = {
     "hd-epic": 100,
     "hot3d": 100,
     "mogaze": 100,
+    "own": 100,
     "adt-egoallo nymeria humanml3d conditions-npz weights configuration method-description corrections protocol": 12,
-    "build-adt build-gimo build-hd-epic build-hot3d build-mogaze build-corpus": 4,
+    "build-adt build-gimo build-hd-epic build-hot3d build-mogaze build-own build-corpus": 4,
     "inspect diff run board board-data score-run import-release verify submission": 12,
     "score-flat score-padded score-ragged doctor windows experiment": 12,
 }

@@ -52,8 +52,10 @@ class OwnReader:
         """See :class:`prbench.readers.KnowsEnds`; objects and hands may be out of sight."""
         lasting = {} if recording is None else {name: getattr(recording, name) for name in ("head", "gaze", "body")}
         ends = {name: stream.times[[0, -1]] for name, stream in lasting.items() if stream and len(stream.times)}
-        late = {"may_start_late": True, "slack": SEVERAL_SENSORS}
-        return tuple(Extent(name, "its table", *map(float, times), **late) for name, times in ends.items())
+        return tuple(
+            Extent(name, "its table", float(first), float(last), may_start_late=True, slack=SEVERAL_SENSORS)
+            for name, (first, last) in ends.items()
+        )
 
 
 READER = OwnReader()

@@ -30,14 +30,14 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of everything in ``recording.toml``."""
 
 
-class Units(_Part, kw_only=True):
+class Units(_Part, frozen=True, kw_only=True):
     """Units of all lengths and of all times in the tables."""
 
     length: Literal["m", "cm", "mm"]
     time: Literal["s", "ms", "us", "ns"]
 
 
-class Axes(_Part, kw_only=True):
+class Axes(_Part, frozen=True, kw_only=True):
     """The world of the tables.
 
     Attributes:
@@ -51,7 +51,7 @@ class Axes(_Part, kw_only=True):
     handed: Literal["right", "left"] = "right"
 
 
-class HeadAxes(_Part, kw_only=True):
+class HeadAxes(_Part, frozen=True, kw_only=True):
     """The axes of the head's pose that point where the face does, and up."""
 
     forward: Axis = "z"
@@ -62,20 +62,20 @@ class HeadAxes(_Part, kw_only=True):
             raise ValueError(f"forward '{self.forward}' and up '{self.up}' stand at no right angle")
 
 
-class GazeFrame(_Part, kw_only=True):
+class GazeFrame(_Part, frozen=True, kw_only=True):
     """The frame of gaze: the world, or the axes of the head's pose."""
 
     frame: Literal["world", "head"] = "world"
 
 
-class Video(_Part, kw_only=True):
+class Video(_Part, frozen=True, kw_only=True):
     """Time of frame 0 on the clock of the tables, in their unit, and frames a second."""
 
     start: float = 0.0
     fps: Annotated[float, msgspec.Meta(gt=0)]
 
 
-class Body(_Part, kw_only=True):
+class Body(_Part, frozen=True, kw_only=True):
     """Name of the body's skeleton, and what measured or estimated it."""
 
     skeleton: str = "smpl22"
@@ -87,7 +87,7 @@ class Body(_Part, kw_only=True):
             raise ValueError(f"no skeleton '{self.skeleton}'.{near} Known ones: {', '.join(SKELETONS)}")
 
 
-class About(_Part, kw_only=True):
+class About(_Part, frozen=True, kw_only=True):
     """The content of ``recording.toml``, and what it says of our world: metres, Y up, right-handed, seconds.
 
     A left-handed world is mirrored, and so are the axes of each rigid body in it, by their x.

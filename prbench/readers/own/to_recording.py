@@ -226,7 +226,7 @@ def _events(
         side, source = (hand or None, "annotated" if hand else None)
         if not hand and location is not None:
             side, source = streams.reaching_hand(streams.wrists_at(recording.hands, recording.body, instant), location)
-        told = (key, action, name, names.get(name, name), instant, location, low, high, side, None, source)
+        told: Any = (key, action, name, names.get(name, name), instant, location, low, high, side, None, source)
         return streams.AnnotatedEvent(*told)
 
     rows = {key: (key, row) for key, row in readings.events.items()}
