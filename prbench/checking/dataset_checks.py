@@ -86,9 +86,8 @@ def check_dataset(dataset: str, root: Path, most: int = 3, options: _Options = (
     started = time.perf_counter()
     root = root.expanduser().resolve()
     with tempfile.TemporaryDirectory(prefix="prbench-check-") as folder:
-        scratch = Path(folder).resolve()
         chosen = BuildOptions(limit=2, reader=options)
-        subject = _Subject(reader_for(dataset, dict(options)), chosen, root, most, scratch, _state(root))
+        subject = _Subject(reader_for(dataset, dict(options)), chosen, root, most, Path(folder).resolve(), _state(root))
         findings = tuple(verdicts.examine(subject, CHECKS, announce=announce))
     return Report(dataset, findings, time.perf_counter() - started)
 
@@ -194,6 +193,9 @@ def _measures(recording: Recording) -> Iterator[tuple[str, str, float, float, fl
             eyes = interpolate(streams.grid[known], points[known], recording.gaze.times[recording.gaze.valid])
             apart = np.median(np.linalg.norm(recording.gaze.origin[recording.gaze.valid] - eyes, axis=1))
             yield "axes", "gaze: the distance of its origin from the head (m)", apart, 0, FARTHEST_EYES
+        if streams.local is not None and streams.local[1].any():  # eyes turn by less, also to what lies at the side
+            ahead = np.quantile(streams.local[0][streams.local[1], 2], 0.1)
+            yield "axes", "gaze: its cosine to where the head faces, exceeded nine times in ten,", ahead, 0.5, 1.01
         if streams.facing is not None:
             level = streams.facing.apply((0.0, 0.0, 1.0)) * (1, 0, 1)
             walked = np.diff(points, axis=0) * (RATE, 0, RATE)
@@ -225,8 +227,7 @@ def _measures(recording: Recording) -> Iterator[tuple[str, str, float, float, fl
 
 @check("build", "a build of two recordings gives sequences", needs=(*_READ, *_MEASURED))
 def _build(subject: _Subject) -> list[Finding]:
-    out = subject.scratch / "table"
-    info = build_dataset(subject.reader.dataset, subject.root, out, options=subject.options).info
+    info = build_dataset(subject.reader.dataset, subject.root, subject.scratch / "table", options=subject.options).info
     if info.counts.sequences:
         return [passed(f"{info.counts.sequences} sequences of {info.counts.events} events.")]
     return [verdicts.warning(f"no sequences. {why_no_sequences(info)}", "`prbench explain` tells about one event.")]

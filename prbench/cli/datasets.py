@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 _HELP = "List the datasets (this is also what `prbench datasets` alone does), start a new one, check a reader."
 _COMMANDS = {"list": f"{__name__}:list_datasets", "new": f"{__name__}:new", "check": f"{__name__}:check"}
-_EXAMPLES = "prbench datasets --root /data\nprbench datasets new tabletop"
-datasets = Group("datasets", sections={"commands": _COMMANDS}, example=_EXAMPLES, help=_HELP, usual="list")
+datasets = Group("datasets", sections={"commands": _COMMANDS}, example="prbench datasets", help=_HELP, usual="list")
 _CITE = "Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt"
 
 

@@ -142,6 +142,7 @@ FAULTS: dict[str, tuple[str, Fault]] = {
     "backward-head": ("axes", stream("head", rotation=turned((0, 180, 0), "rotation"))),
     "gaze-in-head-frame": ("axes", local_gaze),
     "gaze-mirrored": ("axes", stream("gaze", direction=lambda rays: rays * [-1, 1, 1])),
+    "gaze-mirrored-in-z": ("axes", stream("gaze", direction=lambda rays: rays * [1, 1, -1])),
     "gaze-from-the-origin": ("place", stream("gaze", origin=np.zeros_like)),
     "hands-exchanged": ("axes", swapped_hands),
     "sides-exchanged": ("body", stream("body", joints=swapped_body)),
