@@ -32,7 +32,7 @@ _LEAST_TURNING = 5.0  # s in which device and segment turn by enough
 _LARGEST_RESIDUAL = 1.0  # degrees, median; users measured 0.09 at the 95th percentile of one file
 _FEW_AGREE = 0.5  # share
 _SHORTEST_SIDE = 20.0  # s on either side of a slip
-_SURE = 5.0  # standard errors by which a change must stand out
+_SURE = 2.5  # standard errors by which a change must stand out
 _NEARLY_PLANAR = 3.0  # condition number of the translation
 
 
