@@ -13,6 +13,9 @@ from prbench.cli import main
 from prbench.curation.own_priming import PrimedEvent
 from prbench.curation.priming import gaze_rays
 from prbench.geometry.shapes import ray_distances
+from prbench.readers import reader_for
+from prbench.readers.own import format as own
+from prbench.readers.own.write import write_recording
 from prbench.recording import Video
 from prbench.sequences import SequenceTable
 from prbench.viewing.explain import explain_event
@@ -106,3 +109,22 @@ def test_a_moment_that_the_video_does_not_show_is_not_told() -> None:
     video = Video(np.array([10.0, 10.1, 10.3]), np.array([0.0, 3.0, 9.0]), 30.0)
     assert video.told({"event": 10.2, "prime": 9.0}) == {"event_time": "0.200", "event_frame": "6"}
     assert video.told({"event": None, "prime": 10.4}) == {}
+
+
+def test_a_plain_recording_tells_its_video(tmp_path) -> None:
+    about = own.About(
+        participant="p",
+        units=own.Units(length="m", time="ms"),
+        axes=own.Axes(up="y"),
+        video=own.Video(start=500, fps=25),
+    )
+    gaze = {"time": [0.0, 4000.0], "dx": 0.0, "dy": 0.0, "dz": 1.0, "ox": 0.0, "oy": 0.0, "oz": 0.0}
+    events = {"action": ["pick"], "object": ["cup"], "frame": [50], "x": [0.0], "y": [0.0], "z": [1.0]}
+    write_recording(tmp_path / "walk", about, {"gaze": gaze, "events": events})
+    reader = reader_for("own")
+    recording = reader.read(reader.find(tmp_path / "walk")[0])
+    (event,) = recording.annotated_events
+    assert event.event_time == pytest.approx(2.5)
+    assert recording.video is not None
+    told = recording.video.told({"event": event.event_time, "prime": 0.0})
+    assert told == {"event_time": "2.000", "event_frame": "50"}  # the video begins later than gaze
