@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from prbench.alignment.report import Tracks
 from prbench.files.bounded import foreign_input, require
@@ -68,6 +69,7 @@ def device_stream(path: Path) -> PoseStream:
         InputFileError: if the file does not hold what its format promises.
     """
     poses = read_near(path, np.zeros(0, dtype=np.int64), load_manifest("nymeria").thresholds["correlation_rate"])
+    pa.default_memory_pool().release_unused()  # half a gigabyte after an hour of poses
     valid = poses.quality >= mps.LEAST_QUALITY
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
     return PoseStream(poses.time_us / 1e6, poses.position, rotation, valid)
