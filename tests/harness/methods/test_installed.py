@@ -166,7 +166,8 @@ def test_the_reserved_names_are_those_of_the_methods_and_controls_that_come_with
     installed = {adapter.name for adapter in list_adapters() if adapter.built_in}
     assert set(BUILT_IN_METHODS) == set(points["prbench.adapters"]) == installed
     assert tuple(control.name for control in CONTROLS if control.use == "--method") == METHOD_CONTROLS
-    tasks = points["prbench.training_tasks"].keys() - points["prbench.predictors"].keys()  # of the default benchmark
+    others = points["prbench.predictors"].keys() | points["prbench.trackers"].keys()  # of other benchmarks
+    tasks = points["prbench.training_tasks"].keys() - others
     for name in (*BUILT_IN_METHODS, *(control.name for control in CONTROLS), *tasks, "all"):
         assert "only prbench itself may use this name" in str(name_problem(name))
 
