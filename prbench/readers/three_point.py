@@ -17,7 +17,6 @@ from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
 from prbench.files.bounded import require
 from prbench.geometry.skeleton import Joint
-from prbench.geometry.timelines import covered
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present
 from prbench.recording import BodyStream, Recording, hold_neighbours
@@ -70,9 +69,8 @@ def attached(recording: Recording, found: RecordingFiles) -> Recording:
         told += ("no body from head and wrists (`prbench poses three-point` makes one)",)
         return replace(recording, body=None, pose_source="none", messages=told)
     body, made = read_body(path)
-    posed = body.valid & covered(recording.head.times, recording.head.valid, body.times, max_gap=LONGEST_GAP)
-    away = body.joints[posed, Joint.HEAD] - recording.head.pose_at(body.times[posed])[0]
-    median = float(np.median(np.linalg.norm(away, axis=-1))) if posed.any() else np.inf
+    away = body.joints[body.valid, Joint.HEAD] - recording.head.pose_at(body.times[body.valid])[0]
+    median = float(np.median(np.linalg.norm(away, axis=-1))) if len(away) else np.inf
     require(
         path, (median <= _FARTHEST, "joints", f"heads within {_FARTHEST:g} m of the glasses", f"{median:.2f} m", _AGAIN)
     )

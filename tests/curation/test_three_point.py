@@ -19,6 +19,7 @@ from prbench.readers import reader_for
 from prbench.recording import ESTIMATED, HandStream, PoseStream
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import refused, reported
+from tests.readers.own.plain import write_plain
 from tests.shared import made_once
 
 THREE = {"poses": "three-point"}
@@ -30,7 +31,7 @@ class Hanging:
     def __init__(self) -> None:
         self.provenance = {"licence": "none", "weights_sha256": "0"}
 
-    def estimate(self, times, position, rotation, valid, rotation_valid, offsets, *, seed):
+    def estimate(self, times, position, rotation, valid, rotation_valid, offsets):
         self.given = (times, position, rotation, valid, rotation_valid, offsets)
         body = np.zeros((22, 3))
         for joint in range(1, 22):
@@ -81,6 +82,17 @@ def test_the_command_makes_bodies_that_the_reader_takes_under_their_own_name(dat
         main(["build-dataset", dataset, "--root", str(root), "--out", str(table), "--option", "poses=three-point"]) == 0
     )
     assert {path.name for path in (root / "three-point").iterdir()} == {f"{found.recording_id}.npz"}
+
+
+def test_own_recordings_without_a_body_table_get_bodies_too(estimator, tmp_path, capsys):
+    root = write_plain(tmp_path / "own", recording_of("adt"), without=("body",))
+    (outcome,) = reported(["poses", "three-point", "--root", str(root), "--dataset", "own"], capsys)
+    assert outcome.state == "made", outcome.message
+    reader = reader_for("own", THREE)
+    (found,) = reader.find(root)
+    assert reader.read(found).pose_source == "three-point"
+    (plain,) = reader_for("own").find(root)
+    assert reader_for("own").read(plain).body is None
 
 
 def test_without_a_file_there_is_no_body_and_the_message_says_how_to_make_one():
@@ -159,9 +171,7 @@ def test_the_mean_adult_stands_as_high_as_its_constant_says():
 
 def test_arms_end_at_measured_wrists_and_bones_keep_their_lengths():
     times = np.arange(4) / 30.0
-    joints = Hanging().estimate(
-        times, np.zeros((4, 3, 3)), None, np.ones((4, 3), bool), None, mean_offsets(1.0), seed=0
-    )
+    joints = Hanging().estimate(times, np.zeros((4, 3, 3)), None, np.ones((4, 3), bool), None, mean_offsets(1.0))
     before = joints.copy()
     near = joints[:, Joint.LEFT_SHOULDER] + (0.1, -0.2, 0.3)
     position = np.stack([joints[:, Joint.HEAD], near, joints[:, Joint.RIGHT_SHOULDER] + (0.0, 0.0, 3.0)], axis=1)

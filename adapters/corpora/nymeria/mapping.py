@@ -93,8 +93,7 @@ def measure_suit(
         heights.append(np.median(points[:, XSENS_SEGMENTS.index("Head"), 1] - lowest))
     require(path, (floor, "segment_tXYZ", "positions", "none that are finite", "Leave the recording out."))
     height = float(np.median(heights))
-    says = f"the head {height:.2f} m above the feet in z"
-    require(path, (height > 0.0, "segment_tXYZ", "Z up: the head above the feet", says, "Other axes are not read."))
+    require(path, (height > 0.0, "segment_tXYZ", "Z up: the head above the feet", f"it {height:.2f} m above them", ""))
     least = load_manifest("nymeria").thresholds["smallest_quaternion"]
     turned = (block.reshape(len(block), N_SEGMENTS, 4) for block in archive.blocks("segment_qWXYZ", _BLOCK))
     unturned = sum(int((~(np.linalg.norm(block, axis=-1) >= least)).any(axis=1).sum()) for block in turned)
@@ -122,8 +121,9 @@ def read_smpl_fit(path: Path, rest: RestJoints) -> tuple[Float[np.ndarray, " n"]
     archive = Archive(path, remedy="Download it again.")
     archive.require(("timestamps", *_SMPL_SIZES))
     times = archive.load(["timestamps"])["timestamps"].ravel().astype(np.float64)
-    ordered = len(times) >= 2 and bool((np.diff(times) > 0).all())
-    require(path, (ordered, "timestamps", "increasing times in microseconds", f"{len(times)} others", ""))
+    require(
+        path, (len(times) > 1 and (np.diff(times) > 0).all(), "timestamps", "increasing microseconds", "others", "")
+    )
     every = max(round(1e5 / float(np.median(np.diff(times)))), 1)
     parts = {}
     for key, size in _SMPL_SIZES.items():
@@ -221,7 +221,7 @@ def mapping_tables(root: Path, smpl: Path | None) -> tuple[list[Table], dict[str
             suits.append((words, numbers))
         fits += [({"recording": recording, "joint": joint}, numbers) for joint, numbers in distances.items()]
     tables = []
-    for title, rows in (("Suits on 22 joints", suits), ("Distance of the SMPL fit from the suit's joints", fits)):
+    for title, rows, said in (("Suits on 22 joints", suits, notes), ("Distance of the SMPL fit from them", fits, ())):
         lines = []
         for words, row in rows:
             about = dict(zip(("dataset", "variant"), words.values(), strict=False))
@@ -231,6 +231,5 @@ def mapping_tables(root: Path, smpl: Path | None) -> tuple[list[Table], dict[str
             columns = [Column(key=name, title=name, text=True) for name in rows[0][0]]
             columns += [Column(key=name, title=name, unit=unit) for name, unit in rows[0][1]]
             blocks = (Block(rows=tuple(lines)),)
-            tables.append(Table(title=title, columns=tuple(columns), blocks=blocks, notes=tuple(notes)))
-        notes = []
+            tables.append(Table(title=title, columns=tuple(columns), blocks=blocks, notes=tuple(said)))
     return tables, failed

@@ -212,8 +212,7 @@ def pose_states(
     datasets = tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
     dataset = dataset or held_dataset(root, datasets)
     if dataset not in datasets:
-        known = ", ".join(datasets)
-        raise UsageError(f"EgoAllo needs Aria glasses: --dataset must be one of {known}, not '{dataset}'.")
+        raise UsageError(f"EgoAllo needs Aria glasses: --dataset must be {', '.join(datasets)}, not '{dataset}'.")
     options = {"poses": "egoallo"} | ({} if poses_root is None else {"poses_root": str(poses_root)})
     found = reader_for(dataset, options).find(root)
     chosen = [each for each in found if fnmatchcase(each.recording_id, recordings)]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Protocol
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -34,7 +34,6 @@ EYE_IN_HEAD = np.array([0.0, 0.0204, 0.0935])
 _HEIGHTS = (0.80, 1.30, 1.95)
 
 # Rest offsets of the mean synthetic adult's joints from their parents in the T-pose, metres, without right joints.
-_NOT_RIGHT = [joint for joint in Joint if not joint.name.startswith("RIGHT_")]
 _OFFSETS = np.array([
     (0.0, 0.0, 0.0), (0.0610, -0.0811, -0.0101), (0.0, 0.1270, -0.0169), (0.0, -0.3801, 0.0), (0.0, 0.1359, 0.0067),
     (0.0, -0.4162, 0.0), (0.0, 0.0591, 0.0034), (0.0, -0.0608, 0.1284), (0.0, 0.2064, -0.0184),
@@ -47,7 +46,7 @@ MEAN_HEAD_HEIGHT = 1.5586  # m, of its head joint above the lowest joint
 class PoseEstimator(Protocol):
     """What ``load(weights)`` returns, which a package offers in the group ``prbench.pose_estimators``.
 
-    ``estimate(times, position, rotation, valid, rotation_valid, offsets, *, seed)`` gets n frames of head, left and
+    ``estimate(times, position, rotation, valid, rotation_valid, offsets)`` gets n frames of head, left and
     right wrist: seconds (n); places of the joints, metres, Y up, floor at height 0 (n, 3, 3); joint frame to world,
     w x y z (n, 3, 4), where a joint frame is the identity in the T-pose; where either was measured (n, 3); and each
     joint's rest offset from its parent in the T-pose (22, 3). It returns the joints (n, 22, 3), NaN where it cannot
@@ -78,7 +77,7 @@ class ThreePointOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, 
 def mean_offsets(scale: float) -> Float[np.ndarray, "22 3"]:
     """Return the mean adult's rest offsets, metres, times a scale."""
     offsets = np.zeros((N_JOINTS, 3))
-    offsets[_NOT_RIGHT] = scale * _OFFSETS
+    offsets[[joint for joint in Joint if not joint.name.startswith("RIGHT_")]] = scale * _OFFSETS
     left = [joint for joint in Joint if joint.name.startswith("LEFT_")]
     offsets[np.add(left, 1)] = offsets[left] * (-1.0, 1.0, 1.0)
     return offsets
@@ -131,8 +130,8 @@ def estimated_body(recording: Recording, estimator: PoseEstimator, floor: float 
             valid[:, place] = covered(hand.times, hand.valid, times, max_gap=LONGEST_GAP, tolerance=0.5 / FPS)
     scale, floor, size = wearer_size(position[:, 0, 1], floor)
     position[..., 1] -= floor
-    rotated = valid & [True, False, False]  # rotations are measured of the head alone
-    joints = estimator.estimate(times, position, rotation, valid, rotated, mean_offsets(scale), seed=0)
+    # Rotations are measured of the head alone.
+    joints = estimator.estimate(times, position, rotation, valid, valid & [True, False, False], mean_offsets(scale))
     bend_arms(joints, position, valid)
     joints[..., 1] += floor
     known = np.asarray(np.isfinite(joints).all(axis=(1, 2)))
@@ -208,10 +207,9 @@ def make_bodies(
             state = "skipped" if isinstance(error, RecordingUnusable) else "failed"
             outcomes.append(Outcome(found.recording_id, state, str(error)))
         else:
-            about = np.array(msgspec.json.encode(named | {"size": size}, order="sorted").decode())
             path = root / THREE_POINT / f"{found.recording_id}.npz"
             with sole_writer(path), atomic_path(path) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **arrays, about=about)
+                np.savez(file, **arrays, about=json.dumps(named | {"size": size}, sort_keys=True))
             outcomes.append(Outcome(found.recording_id, "made", f"{arrays['valid'].sum() / FPS:.1f} s; {size}"))
         progress(len(outcomes), len(chosen), f"{found.recording_id} {outcomes[-1].state}")
     return tuple(outcomes)

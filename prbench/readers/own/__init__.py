@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import Manifest, load_manifest, read_own_manifest
@@ -12,6 +13,7 @@ from prbench.readers.extents import SEVERAL_SENSORS, Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.own.files import find_recordings, read_readings
 from prbench.readers.own.to_recording import recording_from_tables
+from prbench.readers.three_point import attached
 from prbench.recording import Recording
 
 
@@ -20,9 +22,11 @@ class OwnOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only
 
     Attributes:
         manifest: A manifest of one's own: name, licence, thresholds.
+        poses: Source of bodies: the table ``body``, or the files of `prbench poses three-point`.
     """
 
     manifest: Path | None = None
+    poses: Literal["table", "three-point"] = "table"
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,8 @@ class OwnReader:
     @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
-        return recording_from_tables(read_readings(found), self.manifest, found)
+        read = recording_from_tables(read_readings(found), self.manifest, found)
+        return attached(read, found) if self.options.poses == "three-point" else read
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG002
         """See :class:`prbench.readers.KnowsEnds`; objects and hands may be out of sight."""

@@ -21,6 +21,7 @@ from prbench.readers import read_synthetic_tree
 from prbench.readers.files import read_columns, read_header, read_lines
 from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.own import format as own
+from prbench.readers.three_point import find_body
 
 _PAGE = "docs/own-recordings.md lists tables and columns."
 _LENGTH_TOLERANCE = 0.01
@@ -84,6 +85,7 @@ def find_recordings(root: Path | str, dataset: str) -> tuple[RecordingFiles, ...
     found = []
     for folder in folders:
         if files := tuple(input_file(name, folder / name) for name in names if is_present(folder / name)):
+            files += find_body(root, folder.name)
             found.append(RecordingFiles(dataset, folder.name, folder, files, split=split.get(folder.name)))
     return tuple(found)
 
@@ -110,7 +112,7 @@ def read_readings(found: RecordingFiles, about: own.About | None = None) -> Read
     """
     about = about or read_about(found)
     paths: dict[str, Path] = {}
-    for role, path in ((file.role, file.path) for file in found.files if file.role != own.ABOUT_FILE):
+    for role, path in ((file.role, file.path) for file in found.files if Path(file.role).stem in own.TABLES):
         earlier = paths.setdefault(Path(role).stem, path)
         remedy = "Remove the one that is out of date."
         require(path, (earlier == path, "", "one file a table", f"{earlier.name} beside it", remedy))

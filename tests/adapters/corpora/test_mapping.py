@@ -122,7 +122,7 @@ TIMES = walking_suit(4800).time_us
     [
         ({"body_pose": np.zeros((700, 69))}, "body_pose: expected the shape (4800, 69), found (700, 69)"),
         ({"timestamps": TIMES + 60_000_000}, "expected 100 times of the suit, found 0"),
-        ({"timestamps": TIMES[::-1]}, "increasing times"),
+        ({"timestamps": TIMES[::-1]}, "expected increasing"),
         ({"transl": np.random.default_rng(0).normal(size=(4800, 3)) * 100}, "not in metres"),
         ({"transl": np.full((4800, 3), np.nan)}, "finite"),
     ],
