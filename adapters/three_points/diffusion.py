@@ -34,6 +34,7 @@ _NOISE_FREE = 49  # last steps of the published sampling, in which no noise is a
 _HALF_BIN = 1.0 / 255.0  # the published likelihood of clean values takes them for those of 8-bit pictures
 _LAST_BIN = 0.999
 _VELOCITY_WEIGHT = 0.05
+_START_SCALE = 0.5  # of our sampling: less noise than in training, and fewer bodies that sit where they should stand
 _REST = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # columns of a joint that is not turned
 
 
@@ -253,6 +254,7 @@ def sample(
     weight = state.new_ones(places.shape[1])
     if not published:
         of_clean, of_state = ddim_factors(chain.alphas_cumprod, chain.alphas_cumprod_previous)
+        state = _START_SCALE * state
         weight = weight.cumsum(0)
         weight = torch.minimum(weight, weight.flip(0))
 

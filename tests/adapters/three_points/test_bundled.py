@@ -13,7 +13,7 @@ from prbench_benchmarks.three_points.table import TracksTable
 from tests.adapters.cards import described
 
 FOLDER = Path(prbench_adapters.three_points.__file__).with_name("weights")
-METHODS = ("avatarposer",)
+METHODS = ("avatarposer", "bodiffusion")
 LARGEST = 1_000_000  # bytes
 FRAMES = 300
 LEGS = [4, 5, 7, 8, 10, 11]

@@ -218,6 +218,11 @@ def test_the_bound_trains_the_variance_alone() -> None:
     assert of_variance.all()
 
 
+def test_the_default_is_as_large_as_the_published_network() -> None:
+    count = sum(each.numel() for each in TrackDiffusion(DiffusionConfiguration()).parameters())
+    assert round(count / 1e6, 2) == 21.94
+
+
 @pytest.mark.parametrize(
     "changes",
     [
