@@ -223,8 +223,7 @@ def relative_motions(device: PoseStream, segment: PoseStream, clock: Clock) -> t
     first, second = frames[:, np.argsort(frames[0], kind="stable")]
     poses = [stream.pose_at(moments) for stream, moments in ((device, times), (segment, on_segment))]
     tracks = [(Rotation.from_quat(rotation, scalar_first=True), position) for position, rotation in poses]
-    motions = hand_eye.motions_between((first, second), times, *tracks)
-    return motions, float(valid.sum() / rate), rate / every
+    return hand_eye.motions_between((first, second), times, *tracks), float(valid.sum() / rate), rate / every
 
 
 def _between(motions: Motions, start: float, end: float) -> Motions:

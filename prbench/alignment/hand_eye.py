@@ -74,8 +74,7 @@ def motions_between(
 
 def usable(motions: Motions) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Tell which motions turn by 2° to 60°, and of which of them device and segment turn by the same angle."""
-    angles = np.rad2deg(np.linalg.norm([motions.turn_a, motions.turn_b], axis=2))
-    smaller, larger = np.sort(angles, axis=0)
+    smaller, larger = np.sort(np.rad2deg(np.linalg.norm([motions.turn_a, motions.turn_b], axis=2)), axis=0)
     turning = (smaller >= TURNS[0]) & (larger <= TURNS[1])
     return turning, turning & (larger - smaller < _ANGLES_DIFFER[0] + _ANGLES_DIFFER[1] * larger)
 

@@ -206,8 +206,7 @@ def egoallo_heads(outputs: list[format.EgoAlloOutput], recording: Recording) -> 
     kept = order[np.diff(time_ns[order], prepend=time_ns.min() - 2 * format.SAME_FRAME_NS) > format.SAME_FRAME_NS]
     if recording.body is None or len(kept) != len(recording.body.times):
         raise RecordingUnusable(f"{recording.recording_id}: EgoAllo's windows do not join into the recording's body.")
-    world = Rotation.from_matrix(recording.world_from_source[:3, :3])
-    return (world * turned[kept]).as_quat(scalar_first=True)
+    return (Rotation.from_matrix(recording.world_from_source[:3, :3]) * turned[kept]).as_quat(scalar_first=True)
 
 
 def chosen_tracks(

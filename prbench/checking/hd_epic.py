@@ -143,8 +143,7 @@ def agreement(action: str, rows: Sequence[Mapping[str, Any]]) -> Agreement:
     published_gap, rule_gap = ((float(np.mean(own)), float(np.std(own))) if own else _NO_GAP for own in gaps.values())
     located = len(rows) - sum(by_rule["no_location"] for by_rule in counts.values())
     tested_and_primed = (_share(tested, tested + total["excluded"]), _share(total["primed"], tested))
-    agreeing = _share(both[0] + both[3], sum(both))
-    found = (agreeing, Spread.of(differences), published_gap, rule_gap)
+    found = (_share(both[0] + both[3], sum(both)), Spread.of(differences), published_gap, rule_gap)
     return Agreement(action, len(rows), located, counts, *tested_and_primed, *found)
 
 

@@ -84,8 +84,7 @@ def clip(recording: Recording, *, prime_time: float, event_time: float, protocol
         head_position = interpolate(head.times[near], head.position[near], times)
         head_rotation = slerp(head.times[near], head.rotation[near], times)
     ends = (*_neighbour(before, bool(recorded[0]), joints), *_neighbour(after, bool(recorded[1]), joints[::-1]))
-    gaze = gaze_at(recording.gaze, times, max_gap=max_gap)
-    return Clip(grid, joints, *ends, head_position, head_rotation, *gaze)
+    return Clip(grid, joints, *ends, head_position, head_rotation, *gaze_at(recording.gaze, times, max_gap=max_gap))
 
 
 def _outside(span: tuple[float, float], interval: tuple[float, float]) -> Decision | None:

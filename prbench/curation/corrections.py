@@ -168,8 +168,7 @@ def _corrected(event: PickPutEvent, rows: Collection[Correction]) -> PickPutEven
             event = dataclasses.replace(event, place=place, primed_anew=True)
     if not said:
         return event
-    settled = any(row.change != "note" for row in rows)
-    return dataclasses.replace(event, corrected="; ".join(said), settled=settled)
+    return dataclasses.replace(event, corrected="; ".join(said), settled=any(row.change != "note" for row in rows))
 
 
 @foreign_input()

@@ -130,8 +130,7 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
                 changes.append((0.0, Change("values", name, "", status, later, columns)))
         elif name not in reported:
             kind = "vanished" if status else "appeared"
-            only = "recording in one of the builds only"
-            changes.append((0.0, Change(kind, name, "", status, later, only)))
+            changes.append((0.0, Change(kind, name, "", status, later, "recording in one of the builds only")))
     if not _same(*(table.scenes().to_pylist() for table in tables)):
         changes.append((0.0, Change("values", "", "", "", "", "boxes of the scenes")))
     order = {kind: rank for rank, kind in enumerate(KINDS)}

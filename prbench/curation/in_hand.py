@@ -117,8 +117,7 @@ def find_departure(
         return None
     # The last still sample looks half a window ahead, so the way out may begin before it: where the quiet part ends.
     way = slice(min(quiet.stop, int(away[0])) - 1, int(away[0]) + 1)
-    noise = _STANDS_OUT * float(np.median(distance[quiet]))
-    level = float(np.clip(noise, _FINEST_LEVEL * tolerance, tolerance))
+    level = float(np.clip(_STANDS_OUT * float(np.median(distance[quiet])), _FINEST_LEVEL * tolerance, tolerance))
     # The passage of the level that counts is the first one after the last sample within half of it: who turns back
     # half-way has not left, who dips just below the level has.
     times = track.times[way]
@@ -264,8 +263,7 @@ def contact_distance(
     nearest = np.empty(len(times))
     for start in range(0, len(times), rows):
         part = slice(start, start + rows)
-        points = interpolate(hand.times[hand.valid], hand.points[hand.valid], times[part])
-        offset = points - position[part, None]
+        offset = interpolate(hand.times[hand.valid], hand.points[hand.valid], times[part]) - position[part, None]
         if rule.target == "origin":
             nearest[part] = np.linalg.norm(offset, axis=-1).min(axis=1)
             continue
@@ -388,8 +386,7 @@ def find_holdings(recording: Recording, rule: InHandRule) -> list[Holding]:
 
 def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHandRule) -> list[Holding]:
     times, position, rotation = (column[track.valid] for column in (track.times, track.position, track.rotation))
-    middle = (track.box_min + track.box_max) / 2
-    centre = position + Rotation.from_quat(rotation, scalar_first=True).apply(middle)
+    centre = position + Rotation.from_quat(rotation, scalar_first=True).apply((track.box_min + track.box_max) / 2)
     # Distance covered within a centred window over its length, m/s; at the ends the window is cut. The chord, not the
     # path: noise of the samples does not add up.
     before = np.maximum(times - rule.moving_window / 2, times[0])

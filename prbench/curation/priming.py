@@ -83,8 +83,7 @@ def find_prime(
     """
     # Equation 1: only looks in the window before the event can prime it; both ends belong to it.
     first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
-    stop = int(np.searchsorted(times, event_time, side="right"))
-    window = slice(first, stop)
+    window = slice(first, int(np.searchsorted(times, event_time, side="right")))
     distances, hits = ray_distances(origins[window], directions[window], place.box_min[None], place.box_max[None])
     distance = distances[:, 0]
     hit = hits[:, 0]

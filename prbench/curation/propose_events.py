@@ -84,8 +84,7 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
     found = []
     for side, speed in enumerate(speeds):
         inner = np.flatnonzero((speed[1:-1] <= speed[:-2]) & (speed[1:-1] < speed[2:])) + 1
-        starts = np.searchsorted(times, times[inner] - _BEFORE)
-        for start, row in zip(starts.tolist(), inner.tolist(), strict=True):
+        for start, row in zip(np.searchsorted(times, times[inner] - _BEFORE).tolist(), inner.tolist(), strict=True):
             near = hint is None or abs(times[row] - hint) <= _NEAR_HINT
             if near and speed[start : row + 1].max() >= _STARTED:
                 found.append(_judged(recording, times, joints, side, row, moved[side] >= max(moved)))
@@ -103,12 +102,10 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
 
 def _relative_speed(times: Times, joints: Joints, wrist: int) -> Times:
     """Speed of a wrist seen from the pelvis, m/s, smoothed."""
-    relative = joints[:, wrist] - joints[:, Joint.PELVIS]
-    speed = np.linalg.norm(np.gradient(relative, times, axis=0), axis=1)
+    speed = np.linalg.norm(np.gradient(joints[:, wrist] - joints[:, Joint.PELVIS], times, axis=0), axis=1)
     # An odd width keeps the smoothed speed centred on its frame.
     width = max(round(_SMOOTHING / float(np.median(np.diff(times)))), 1) | 1
-    padded = np.pad(speed, width // 2, mode="edge")
-    return np.convolve(padded, np.full(width, 1 / width), mode="valid")
+    return np.convolve(np.pad(speed, width // 2, mode="edge"), np.full(width, 1 / width), mode="valid")
 
 
 def _judged(recording: Recording, times: Times, joints: Joints, side: int, row: int, moved_more: bool) -> Candidate:
@@ -121,8 +118,7 @@ def _judged(recording: Recording, times: Times, joints: Joints, side: int, row: 
     stretch = float(np.linalg.norm(wrist - shoulder) / arm)
     # 0 for an arm that hangs beside the pelvis, 1 for a wrist 40 cm away from its axis or above the chest.
     aside = float(np.hypot(*(wrist - joints[row, Joint.PELVIS])[[0, 2]]))
-    above = float(wrist[1] - joints[row, Joint.SPINE3, 1])
-    lifted = max(_share(aside, 0.25, 0.40), _share(above, 0.0, 0.1))
+    lifted = max(_share(aside, 0.25, 0.40), _share(float(wrist[1] - joints[row, Joint.SPINE3, 1]), 0.0, 0.1))
     # Distance of the nearest gaze to the wrist, metres; infinite without gaze.
     gaze = recording.gaze
     rows = np.flatnonzero(gaze.valid & (gaze.times >= times[start]) & (gaze.times <= times[row]))

@@ -193,8 +193,7 @@ def gridded(recording: Recording, grid: Float[np.ndarray, " n"]) -> Gridded:
 def _on_grid(times: np.ndarray, points: np.ndarray, valid: np.ndarray, grid: np.ndarray) -> _Moving:
     if not valid.any():
         return np.zeros((len(grid), 3)), np.zeros(len(grid), dtype=bool)
-    known = covered(times, valid, grid, max_gap=_LONGEST_STEP)
-    return interpolate(times[valid], points[valid], grid), known
+    return interpolate(times[valid], points[valid], grid), covered(times, valid, grid, max_gap=_LONGEST_STEP)
 
 
 def _speeds(moving: _Moving) -> _Moving:

@@ -82,8 +82,7 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
     damaged = partial(InputFileError, name, "", expected="a file that can be unpacked", remedy=_COPY_ARCHIVE_AGAIN)
     with contextlib.ExitStack() as stack:
         try:
-            plain = stack.enter_context(bounded.open_regular(source.path))
-            archive = stack.enter_context(zipfile.ZipFile(plain))
+            archive = stack.enter_context(zipfile.ZipFile(stack.enter_context(bounded.open_regular(source.path))))
             member = archive.getinfo(source.member)
             bounded.require_unpackable(name, member)
             file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))

@@ -83,8 +83,7 @@ def _written(table: SequenceTable, folder: Path, as_published: bool) -> Iterator
         # The layout has no column of validity, so NaN has to say it.
         gaze = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
         for name, values in ((layout.MOTIONS, sequence.joints), (layout.GAZES, gaze)):
-            single = np.ascontiguousarray(values, dtype=np.float32)
-            np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
+            np.save(folder / name / f"{key}.npy", np.ascontiguousarray(values, dtype=np.float32), allow_pickle=False)
         fields: dict[str, Any] = {
             "goal_location": sequence.goal_location.tolist(),
             "text_prompt": sequence.text,

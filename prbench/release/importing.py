@@ -207,8 +207,7 @@ def _import_dataset(
             message = "the release does not say which recording a sequence comes from"
         # A recording has one split in our tables: the commoner one, where a release mixes them.
         split = splits.most_common(1)[0][0]
-        duration = sum((row.n_frames - 1) / found.fps for row in rows)
-        about = (name, reading.UNKNOWN, split, name, duration)
+        about = (name, reading.UNKNOWN, split, name, sum((row.n_frames - 1) / found.fps for row in rows))
         records.append(Recording(*about, {"sequence": len(rows)}, "read", message))
     for key, reason in sorted(report.reasons.items()):
         records.append(Recording(f"sequence {key}", reading.UNKNOWN, "", "", 0.0, {}, "failed", reason))

@@ -80,8 +80,7 @@ def dataset_of(folder: str) -> str | None:
     name = folder.lower()
     prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
     wanted = letters(name.removeprefix(prefix))
-    known = {letters(dataset): prefix + dataset for dataset in load_known().folders}
-    return known.get(wanted)
+    return {letters(dataset): prefix + dataset for dataset in load_known().folders}.get(wanted)
 
 
 def folder_of(dataset: str) -> str:
@@ -283,8 +282,7 @@ def is_point(value: Any) -> bool:
 
 def index_of(key: str) -> int | None:
     """Return the number of a sequence key or file name (``motions/0000000012.npy``, ``seq_12``, ``12``), or None."""
-    name = re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy")
-    digits = _ENDS.sub("", name)
+    digits = _ENDS.sub("", re.split(r"[/\\]", key.strip())[-1].removesuffix(".npy"))
     # isdigit alone also accepts superscripts and other scripts; 18 digits still fit into 64 bits.
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 18 else None
 

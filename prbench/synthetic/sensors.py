@@ -114,8 +114,7 @@ class Sensing:
     def times(self, rate: float) -> Float[np.ndarray, " n"]:
         """Return the instants of a sensor of a steady rate, performance seconds, from the first to the last frame."""
         # Without the nanosecond, rounding would cost the last frame of a duration that is a multiple of the period.
-        n = int((self.performance.duration + 1e-9) * rate) + 1
-        return self.performance.times[0] + np.arange(n) / rate
+        return self.performance.times[0] + np.arange(int((self.performance.duration + 1e-9) * rate) + 1) / rate
 
     def head(self, times: Float[np.ndarray, " n"]) -> Rotation:
         """Return the true orientation of the head (x left, y up, z forward) in the performance's world."""
@@ -173,8 +172,7 @@ def measured_gaze(
 def closed_eyes(sensing: Sensing, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Return the instants at which the wearer blinks."""
     rng = sensing.generator("blinks")
-    count = rng.poisson(_BLINKS_A_MINUTE / 60.0 * sensing.performance.duration)
-    starts = rng.uniform(times[0], times[-1], count)
+    starts = rng.uniform(times[0], times[-1], rng.poisson(_BLINKS_A_MINUTE / 60.0 * sensing.performance.duration))
     closed = np.minimum(_BLINK * sensing.strength("blinks"), 1.0)
     return ((times >= starts[:, None]) & (times < starts[:, None] + closed)).any(axis=0)
 

@@ -122,8 +122,7 @@ def own_tables(performance: Performance, *, rate: float) -> dict[str, pa.Table]:
     layout = layout_for(performance.preset)
     for motion in performance.objects:
         # Rows at rest repeat the one before; without them the file of a long recording stays small.
-        poses = np.concatenate([motion.position, motion.rotation], axis=1)
-        changes = (np.diff(poses, axis=0) != 0).any(axis=1)
+        changes = (np.diff(np.concatenate([motion.position, motion.rotation], axis=1), axis=0) != 0).any(axis=1)
         kept = np.zeros(len(motion.position), dtype=bool)
         kept[:-1] |= changes
         kept[1:] |= changes

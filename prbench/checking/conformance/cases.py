@@ -38,8 +38,7 @@ def cases_of_table(folder: Path, limit: int = SEQUENCES) -> Cases:
     Raises:
         TableError: if there is no such table, or it has no test sequences.
     """
-    table = SequenceTable.open(folder).with_sequences()
-    source = ConditionSource.read(select(table, split="test", limit=limit))
+    source = ConditionSource.read(select(SequenceTable.open(folder).with_sequences(), split="test", limit=limit))
     return Cases(rows_of(source, np.argsort(source.n_frames, kind="stable")), folder)
 
 

@@ -109,8 +109,7 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
     if float(np.median(np.abs(lengths - 1))) < 0.1:
         remedy = f"Decode them: {_CONVERT}.joints_from_features(features, n_frames)."
         found = Diagnosis("features", True, numbers, "these are HumanML3D's 263 features, not joints", remedy)
-        decoded = rows.changed(lambda motion: decode(motion).astype(np.float64))
-        return Finding((found,), decoded.without_lengths())
+        return Finding((found,), rows.changed(lambda motion: decode(motion).astype(np.float64)).without_lengths())
     remedy = (
         "Multiply by the training's standard deviation and add its mean"
         f" ({_CONVERT}.read_feature_statistics), then decode: {_CONVERT}.joints_from_features."
@@ -259,8 +258,7 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> tuple[Diagnosis, f
         have no size.
     """
     # The median over poses of the largest distance between two joints, in the unit of the poses.
-    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
-    size = float(np.median(apart.max(axis=(1, 2))))
+    size = float(np.median(np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1).max(axis=(1, 2))))
     if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
         return None
     evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"

@@ -240,5 +240,4 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding | None:
     )
     made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
     cause = f"motions are played too {'fast' if ratio > 1 else 'slowly'}: they look like {made}"
-    found = Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, _AT_RATE)
-    return Finding((found,), motion_set)
+    return Finding((Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, _AT_RATE),), motion_set)

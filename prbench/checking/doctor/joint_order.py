@@ -175,8 +175,7 @@ def _is_mirrored(motion_set: MotionSet) -> tuple[bool | None, str]:
 
     def apart(poses: np.ndarray) -> float:
         """Return the mean distance of joints relative to their pelvises, metres."""
-        difference = (poses - poses[:, :1]) - (initial - initial[:, :1])
-        return float(np.linalg.norm(difference, axis=-1).mean())
+        return float(np.linalg.norm((poses - poses[:, :1]) - (initial - initial[:, :1]), axis=-1).mean())
 
     in_mirror = min(apart(first * signs) for signs in ((-1, 1, 1), (1, 1, -1)))
     exchanged = apart(first[:, list(MIRRORED_JOINTS)])

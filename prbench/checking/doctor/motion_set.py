@@ -138,8 +138,7 @@ def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray)
         Poses at these places, (wanted, joints, 3).
     """
     flat = poses.reshape(len(poses), -1)
-    columns = [np.interp(places, frames, column) for column in flat.T]
-    return np.stack(columns, axis=1).reshape(-1, *poses.shape[1:])
+    return np.stack([np.interp(places, frames, column) for column in flat.T], axis=1).reshape(-1, *poses.shape[1:])
 
 
 def joint_distances(motions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -152,8 +151,7 @@ def joint_distances(motions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarr
     for motion in motions:
         some = spread_poses(motion)
         every.append(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
-    spread = np.mean([apart.std(axis=0) for apart in every], axis=0)
-    return np.median(np.concatenate(every), axis=0), spread
+    return np.median(np.concatenate(every), axis=0), np.mean([apart.std(axis=0) for apart in every], axis=0)
 
 
 _NAMES = tuple(joint.name.lower() for joint in Joint)

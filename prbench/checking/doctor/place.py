@@ -157,8 +157,7 @@ def examine_root(motion_set: MotionSet) -> Finding | None:
 
 def examine_floor(motion_set: MotionSet) -> Finding | None:
     """Look at the lowest joint of each motion: 0 in the canonical frame."""
-    lowest = np.array([motion[..., 1].min() for motion in motion_set.motions])
-    typical = float(np.median(lowest))
+    typical = float(np.median(np.array([motion[..., 1].min() for motion in motion_set.motions])))
     if motion_set.pinned or abs(typical) < _SUSPICIOUS_HEIGHT:
         return None
     evidence = f"the lowest joint of a motion lies at Y = {typical:+.3f} m (median of {len(motion_set)}), not at 0"

@@ -73,8 +73,7 @@ class _Module:
 
 def converters_file() -> str:
     """Return the text of :data:`ONE_FILE`."""
-    offered = importlib.import_module(_CONVERTERS).__all__
-    roots = {**_ROOTS, _CONVERTERS: tuple(offered)}
+    roots = {**_ROOTS, _CONVERTERS: tuple(importlib.import_module(_CONVERTERS).__all__)}
     return one_file(roots, _HEADER.format(version=prbench.__version__))
 
 
@@ -129,8 +128,7 @@ def one_file(roots: Mapping[str, Iterable[str]], header: str) -> str:
         origin = _origin(name, used)
         if origin is not None and origin[0] != name:
             imported[name].add(origin[0])
-    order = TopologicalSorter({name: sorted(others) for name, others in imported.items()})
-    for name in order.static_order():
+    for name in TopologicalSorter({name: sorted(others) for name, others in imported.items()}).static_order():
         body = "\n\n\n".join(one.text for one in _module(name).statements if one in needed[name])
         parts.append(f"# From {name.replace('.', '/')}.py\n\n\n{body}\n")
     parts.append("__all__ = [\n" + "".join(f'    "{name}",\n' for name in offered) + "]\n")

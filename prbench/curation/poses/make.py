@@ -81,8 +81,7 @@ def read_config(path: Path) -> PosesConfig:
     """
     expected = "a table [egoallo] with python and folder"
     remedy = "`prbench poses egoallo --root DIR` without --config prints one to start from."
-    content = read_toml(path, expected, remedy)
-    config = structured(path, content, _ConfigFile, remedy=remedy).egoallo
+    config = structured(path, read_toml(path, expected, remedy), _ConfigFile, remedy=remedy).egoallo
     unknown = [name for text in config.command for name in _PLACEHOLDER.findall(text) if name not in _PLACEHOLDERS]
     expected = f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}"
     require(path, (not unknown, "egoallo.command", expected, f"{{{''.join(unknown[:1])}}}", ""))

@@ -145,8 +145,7 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
             expected = "points with px_world, py_world, pz_world"
             raise InputFileError(str(source), "", expected=expected, found=str(error).splitlines()[0]) from error
         # (x, y, z) with Y up is (x, -z, y) with Z up.
-        below = pa.array(-z.to_numpy())
-        for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):
+        for name, values in zip(_POINT_COLUMNS[2:5], (x, pa.array(-z.to_numpy()), y), strict=True):
             table = table.set_column(table.column_names.index(name), name, values)
     # Without name and time, equal points are equal files.
     with (

@@ -213,8 +213,7 @@ def sense_egoallo(
     for window, (first, last) in enumerate(windows):
         own = number == window
         poses = (cpf[own], root[None, own], body[None, own], np.tile(betas, (1, int(own.sum()), 1)))
-        time_ns = trajectory.time_us[rows[own]] * 1000
-        outputs.append(ego.EgoAlloOutput(f"{_DAY}_{first}-{last}.npz", time_ns, *poses))
+        outputs.append(ego.EgoAlloOutput(f"{_DAY}_{first}-{last}.npz", trajectory.time_us[rows[own]] * 1000, *poses))
     return tuple(outputs)
 
 

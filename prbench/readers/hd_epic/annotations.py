@@ -259,8 +259,7 @@ def count_annotations(
             for track in movements.tracks[:1]
         ]
         starts = {(track.object_id, track.start) for track in movements.tracks}
-        ends = {(track.object_id, track.end) for track in movements.tracks}
-        repeated += 2 * moved - len(starts) - len(ends)
+        repeated += 2 * moved - len(starts) - len({(track.object_id, track.end) for track in movements.tracks})
         own.update(objects=movements.objects, picks=moved, puts=moved, masks=movements.masks)
         if priming is not None:
             sides, odd = read_priming(priming, video)

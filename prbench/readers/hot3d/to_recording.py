@@ -157,8 +157,7 @@ def _with_drift(
     """Return offset (ns), drift (ns a second), margin (ns) of the line that stays furthest inside of all intervals."""
     ones = np.ones_like(seconds)
     above = np.column_stack([-ones, -seconds, ones])
-    below = np.column_stack([ones, seconds, ones])
-    rows = np.concatenate([above, below])
+    rows = np.concatenate([above, np.column_stack([ones, seconds, ones])])
     solved = linprog([0.0, 0.0, -1.0], A_ub=rows, b_ub=np.concatenate([-low, high]), bounds=[(None, None)] * 3)
     if not solved.success:
         return 0.0, 0.0, -1.0

@@ -218,8 +218,7 @@ def find_recordings(root: Path | str, *, include_excluded: bool = False) -> tupl
     folder = existing_folder(root, "a folder of MoGaze recordings")
     parts: dict[str, list[InputFile]] = {}
     for folder in (root, root / "mogaze"):
-        matches = [_FILE_NAME.fullmatch(path.name) for path in sorted(folder.glob("*.hdf5"))]
-        for match in filter(None, matches):
+        for match in filter(None, [_FILE_NAME.fullmatch(path.name) for path in sorted(folder.glob("*.hdf5"))]):
             parts.setdefault(match["id"], []).append(input_file(match["part"], folder / match[0]))
         if parts:
             break

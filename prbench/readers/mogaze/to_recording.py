@@ -142,8 +142,7 @@ def _track(
     position = streams.hold_neighbours(transform_points(world_from_source, body.position), valid)
     names = (str(body.body_id), body.name, mogaze.kind_of_body(body.name))
     box = (body.box_min, body.box_max)
-    movable = not mogaze.is_furniture(body.name)
-    return streams.ObjectTrack(*names, times, position, rotation, valid, *box, movable)
+    return streams.ObjectTrack(*names, times, position, rotation, valid, *box, not mogaze.is_furniture(body.name))
 
 
 def annotated_events(
@@ -289,8 +288,7 @@ def published_tracks(
         first, last = np.flatnonzero(measured)[[0, -1]]
         kept = frames[first : last + 1]
         name = f"{'pick' if segment.label == NULL_LABEL else 'place'}_{number:03d}"
-        filled = np.zeros(len(kept), dtype=bool)
-        poses = (joints[kept], body.valid[kept], filled, body.joints[kept])
+        poses = (joints[kept], body.valid[kept], np.zeros(len(kept), dtype=bool), body.joints[kept])
         gaze = (recording.gaze.direction[kept], confident[kept])
         tracks.append(streams.PublishedTrack(name, "", kept / mogaze.RATE, *poses, *gaze))
     return tuple(tracks)

@@ -199,8 +199,7 @@ def _read_table(path: Path, name: str, about: own.About) -> Table:
     empty = np.isnan(values)
     # A row is there whole or not at all; joints may be missing one by one.
     odd = np.isinf(values).any(axis=1) | (empty.any(axis=1) & ~empty.all(axis=1) & (name != "body"))
-    expected = f"finite numbers in {', '.join(numbers[:7])}"
-    refuse(odd, expected, lambda row: str(values[row, :7]), remedy=_EMPTY)
+    refuse(odd, f"finite numbers in {', '.join(numbers[:7])}", lambda row: str(values[row, :7]), remedy=_EMPTY)
     for names, remedy in ((own.QUATERNION, ""), (own.GAZE, _DIRECTION)):
         if set(names) <= set(cells):
             length = np.linalg.norm(np.stack([cells[column] for column in names]), axis=0)

@@ -58,8 +58,7 @@ Facts = tuple[str, Mapping[str, str]]
 
 def _facts_of(script: Script, motion: Motion, act: Act, rate: float) -> Facts:
     """Measure what an activity's words depend on; ``walk`` becomes ``walk straight`` or ``walk turning`` so."""
-    first = round(act.begin * rate)
-    span = slice(first, min(round(act.end * rate), len(motion.joints) - 1) + 1)
+    span = slice(round(act.begin * rate), min(round(act.end * rate), len(motion.joints) - 1) + 1)
     joints = motion.joints[span]
     heading = motion.base.heading[span]
     name = act.name
@@ -69,8 +68,7 @@ def _facts_of(script: Script, motion: Motion, act: Act, rate: float) -> Facts:
     if name in ("walk", "curve"):
         # The median speed of the pelvis over the frames in which it moves at more than half of its fastest, m/s.
         tenth = max(1, round(rate / 10.0))
-        way = np.diff(joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0)
-        speed = np.linalg.norm(way, axis=1) * rate / tenth
+        speed = np.linalg.norm(np.diff(joints[::tenth, Joint.PELVIS][:, [0, 2]], axis=0), axis=1) * rate / tenth
         slots["speed"] = speed_word(float(np.median(speed[speed > 0.5 * speed.max()])))
         steps = sum(act.begin <= step.lift < act.end for step in plan_steps(script.person, script.segments))
         slots["steps"] = _COUNTS[steps] if 2 <= steps < len(_COUNTS) else "several"
@@ -136,8 +134,7 @@ def _reach_height(joints: np.ndarray, hand: int) -> str:
     """Return in words where the wrist is when it is farthest from the shoulder's vertical."""
     wrist = joints[:, WRISTS[hand]]
     shoulder = joints[:, Joint.LEFT_SHOULDER + hand]
-    out = np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1)
-    frame = int(out.argmax())
+    frame = int(np.linalg.norm((wrist - joints[:, Joint.PELVIS])[:, [0, 2]], axis=1).argmax())
     height = float(wrist[frame, 1])
     if height > float(shoulder[frame, 1]) + 0.1:
         return "high up"

@@ -101,8 +101,7 @@ def act_out(preset: Preset, script: scripts.Script, rate: float, rng: np.random.
     head = bodies.move_head(plan, gaze, base.heading, eye, times, rng)
     trunk = bodies.move_trunk(plan, base, bending, sway, feet, steps, times, head)
     legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
-    rest = bodies.move_wrists(plan, trunk, sway, times)
-    wrists, poles = _move_hands(plan, script, trunk, legs, rest, head, times)
+    wrists, poles = _move_hands(plan, script, trunk, legs, bodies.move_wrists(plan, trunk, sway, times), head, times)
     arms = bodies.pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
 
@@ -144,8 +143,7 @@ def _target(
         return np.array(command.offset)
     if command.place == "thigh":
         hip = trunk.hips[hand]
-        knee = legs.knee[:, hand]
-        return hip + _ALONG_THIGH * (knee - hip) + np.array([0.0, _ABOVE_THIGH, 0.0])
+        return hip + _ALONG_THIGH * (legs.knee[:, hand] - hip) + np.array([0.0, _ABOVE_THIGH, 0.0])
     if command.place == "head":
         middle = trunk.neck + turn(head.yaw, 0.0, np.array([0.0, 0.06 * stature, 0.02 * stature]))
         return middle + turn(head.yaw, 0.0, offset) + _loop(command.loop, trunk, times)
@@ -202,8 +200,7 @@ def identity_of(seed: int, index: int) -> Identity:
         source = Source(_goal_seed(seed), preset, "default")
     _, person, split = assign(source, index)
     participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{person:03d}"
-    name = f"20000101_s0_{participant}_act{seed}_n{index:05d}"
-    return Identity(name, participant, split, preset, person)
+    return Identity(f"20000101_s0_{participant}_act{seed}_n{index:05d}", participant, split, preset, person)
 
 
 def narrated_recording(seed: int, index: int) -> NarratedMotion:
@@ -251,5 +248,4 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
 
 def _goal_seed(seed: int) -> int:
     """Return the seed of the prime-and-reach recordings, which nobody gives to a benchmark table."""
-    drawn = named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", "goals").integers(2**40, 2**60)
-    return int(drawn)
+    return int(named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", "goals").integers(2**40, 2**60))

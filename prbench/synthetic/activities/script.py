@@ -153,8 +153,7 @@ class ScriptWriter:
 
     def free_hand(self) -> int:
         """Draw a hand: the preferred one three times in four."""
-        right = bool(self.person.habits.right_handed) is (self.rng.random() < 0.75)
-        return int(right)
+        return int(bool(self.person.habits.right_handed) is (self.rng.random() < 0.75))
 
     def did(self, name: str, end: float, hand: int | None = None) -> None:
         """Record that an activity is planned from now on; the next begins after it."""
@@ -323,8 +322,7 @@ def _look_at_hands(writer: ScriptWriter) -> None:
 
 def _step_sideways(writer: ScriptWriter) -> None:
     """Step sideways, still facing the same way."""
-    side = writer.side()
-    goal = writer.base.point + side * writer.draw(0.3, 0.6) * writer.base.left
+    goal = writer.base.point + writer.side() * writer.draw(0.3, 0.6) * writer.base.left
     writer.did("sidestep", writer.go(replace(writer.base, x=float(goal[0]), z=float(goal[2])), 1.0, 1.5))
 
 
@@ -341,8 +339,7 @@ def _reach_out(writer: ScriptWriter) -> None:
     outwards = (1.0 if hand == 0 else -1.0) * writer.draw(0.02, 0.20)
     point = writer.base.point + writer.draw(0.42, 0.58) * writer.base.forward + outwards * writer.base.left
     point[1] = writer.stature * writer.draw(0.42, 0.92)
-    end = writer.reach(hand, point, begin, writer.draw(0.75, 1.1), writer.draw(0.3, 0.7))
-    writer.did("reach", end, hand)
+    writer.did("reach", writer.reach(hand, point, begin, writer.draw(0.75, 1.1), writer.draw(0.3, 0.7)), hand)
 
 
 def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: tuple[float, float]) -> None:
@@ -353,8 +350,7 @@ def _rub(writer: ScriptWriter, name: str, size: tuple[float, float], frequency: 
     half = writer.draw(*size) / 2.0
     ratio = writer.draw(0.5, 1.0)
     aside = np.array([half, 0.0, 0.0])
-    ahead = np.array([0.0, 0.0, half * ratio])
-    loop = Loop(begin + 0.7, begin + length - 0.7, aside, ahead, writer.draw(*frequency))
+    loop = Loop(begin + 0.7, begin + length - 0.7, aside, np.array([0.0, 0.0, half * ratio]), writer.draw(*frequency))
     writer.script.hands.append(Hand(hand, begin, 0.8, "middle", (-0.02, -0.22, 0.21), loop))
     writer.rest(hand, begin + length - 0.75, 0.8)
     writer.look_at(begin + 0.1, begin + length - 0.5, writer.before_chest(-0.35, 0.24))
@@ -391,8 +387,7 @@ def wave(writer: ScriptWriter) -> None:
     begin = writer.now
     hand = writer.free_hand()
     frequency = writer.draw(1.5, 2.5)
-    cycles = int(writer.rng.integers(3, 7))
-    waving = cycles / frequency
+    waving = int(writer.rng.integers(3, 7)) / frequency
     loop = Loop(begin + 0.75, begin + 0.75 + waving, np.array([0.05, 0.0, 0.0]), np.array([0.0, 0.015, 0.0]), frequency)
     writer.script.hands.append(Hand(hand, begin, 0.8, "shoulder", (0.09, 0.105, 0.08), loop, _WAVING_ELBOW, _BULGE))
     end = begin + 0.75 + waving
@@ -419,8 +414,7 @@ def _scratch_head(writer: ScriptWriter) -> None:
     hand = writer.free_hand()
     length = writer.draw(2.8, 3.8)
     up = np.array([0.0, 0.012, 0.0])
-    ahead = np.array([0.0, 0.0, 0.014])
-    loop = Loop(begin + 0.8, begin + length - 0.8, up, ahead, writer.draw(2.0, 3.0))
+    loop = Loop(begin + 0.8, begin + length - 0.8, up, np.array([0.0, 0.0, 0.014]), writer.draw(2.0, 3.0))
     writer.script.hands.append(Hand(hand, begin, 0.9, "head", (0.075, 0.045, 0.035), loop, (1.0, -0.3, 0.15), _BULGE))
     writer.rest(hand, begin + length - 0.85, 0.9, bulge=_BULGE)
     writer.did("scratch head", begin + length, hand)

@@ -62,10 +62,8 @@ def move_head(
     commands: list[tuple[int, float, float, np.ndarray]] = []
 
     def obey(channel: np.ndarray, first: int, start: float, duration: float, target: np.ndarray) -> None:
-        last = int(np.searchsorted(times, start + duration))
-        until = min(max(last, first + len(target)), times.size)
-        place = np.minimum(np.arange(until - first), len(target) - 1)
-        wanted = target[place]
+        until = min(max(int(np.searchsorted(times, start + duration)), first + len(target)), times.size)
+        wanted = target[np.minimum(np.arange(until - first), len(target) - 1)]
         progress = kinematics.minimum_jerk((times[first:until] - start) / duration)[:, None]
         moved = channel[first:until] * (1.0 - progress) + progress * wanted
         channel[first:until] = np.where(progress < 1.0, moved, wanted)
@@ -107,8 +105,7 @@ def move_head(
         commands.append((first, start, max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower, target))
         obey(channel, *commands[-1])
     for _ in range(6):
-        speed = np.abs(np.gradient(heading + channel[:, 0], times))
-        fast = times[speed > _FASTEST_HEAD]
+        fast = times[np.abs(np.gradient(heading + channel[:, 0], times)) > _FASTEST_HEAD]
         slowed = []
         for first, start, duration, target in commands:
             begin, end = np.searchsorted(fast, [start - 0.02, start + duration + 0.02])
@@ -449,8 +446,7 @@ def turn_hands(plan: Plan, arms: Arms, times: np.ndarray) -> Float[np.ndarray, "
     """Return world from hand: y from wrist to finger base along the forearm, turned into the grasp around an event."""
     frames = []
     for hand in (0, 1):
-        forearm = kinematics.unit(arms.wrist[:, hand] - arms.elbow[:, hand])
-        neutral = np.stack([arms.hinge[:, hand], forearm], axis=1)
+        neutral = np.stack([arms.hinge[:, hand], kinematics.unit(arms.wrist[:, hand] - arms.elbow[:, hand])], axis=1)
         axes = neutral.copy()
         for reach in plan.reaches:
             if reach.hand != hand:

@@ -169,8 +169,7 @@ class _Scheduler:
                 prime = previous + 0.15 + float(rng.uniform(0.02, 0.1))
         index = int(np.searchsorted(self.times, prime))
         offset = reach.centre - self.base.points[index]
-        bearing = wrap(np.arctan2(offset[0], offset[2]) - self.base.heading[index])
-        if abs(bearing) > _WIDEST_BEARING:
+        if abs(wrap(np.arctan2(offset[0], offset[2]) - self.base.heading[index])) > _WIDEST_BEARING:
             prime = max(prime, reach.motor_start + float(rng.uniform(-0.1, 0.2)))
         return min(prime, reach.event - _GAP_LIMITS[0])
 
@@ -178,8 +177,7 @@ class _Scheduler:
         """Draw prime, guide, and returns in between, in the order in which they claim time."""
         rng = self.rng
         guide = max(prime, reach.reach_start - float(rng.uniform(0.0, 0.45)))
-        dwell = self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal())
-        end = prime + float(np.clip(dwell, 0.25, 2.0))
+        end = prime + float(np.clip(self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal()), 0.25, 2.0))
         if guide - end <= 0.25:
             end = max(end, guide)
         early = rng.random() < 0.08
@@ -197,12 +195,10 @@ class _Scheduler:
 
     def sweep(self, reach: Reach, prime: float) -> tuple[list[Look], list[Look], list[Look]]:
         """Return two short looks on both sides of the goal, so that one fast saccade crosses it."""
-        index = int(np.searchsorted(self.times, prime))
-        sight = reach.centre - self.eye[index]
+        sight = reach.centre - self.eye[int(np.searchsorted(self.times, prime))]
         sideways = np.tan(_SWEEP) * np.array([sight[2], 0.0, -sight[0]])
         before = Look(prime - 0.34, prime, reach.centre - sideways, False, reach.number)
-        after = Look(prime, prime + 0.34, reach.centre + sideways, False, reach.number)
-        return [before, after], [], []
+        return [before, Look(prime, prime + 0.34, reach.centre + sideways, False, reach.number)], [], []
 
     def _look(self, start: float, end: float, reach: Reach, kind: str) -> Look:
         point = reach.centre + 0.3 * reach.half_world * self.rng.standard_normal(3)
@@ -280,8 +276,7 @@ class _Scheduler:
     def _ahead(self, index: int) -> np.ndarray:
         """Return a point along the path as it will be in 1.2 s."""
         soon = min(index + int(1.2 / (self.times[1] - self.times[0])), self.times.size - 1)
-        heading = self.base.heading[soon]
-        point = self.base.points[soon] + self.rng.uniform(1.2, 3.0) * direction(heading, 0.0)
+        point = self.base.points[soon] + self.rng.uniform(1.2, 3.0) * direction(self.base.heading[soon], 0.0)
         point[1] = self.eye[index, 1] - self.rng.uniform(0.1, 0.9)
         return point
 
@@ -336,8 +331,7 @@ def repaired(
         until = reach.event if prime is None or kind == "swept" else prime
         first, last = np.searchsorted(times, [reach.event - WINDOW, until])
         close = _passes_close(eye[first:last], gaze[first:last], reach.centre, reach.half_world)
-        frames = times[first:last][close]
-        numbers = np.unique(np.searchsorted(starts, frames, side="right") - 1)
+        numbers = np.unique(np.searchsorted(starts, times[first:last][close], side="right") - 1)
         fills = [not gaze_plan.looks[n].is_goal and gaze_plan.looks[n].reach is None for n in numbers]
         found.update(numbers[fills].tolist())
     if not found:

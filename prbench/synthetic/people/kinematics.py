@@ -77,8 +77,7 @@ def add_bump(channel: Channel, times: Signal, start: float, duration: float, hei
 def wobble(times: Signal, rms: float, low: float, high: float, rng: np.random.Generator) -> Signal:
     """Return a sum of five sines of random phase, with frequencies from ``low`` to ``high`` Hz and the given r.m.s."""
     frequencies = rng.uniform(low, high, 5)
-    phases = rng.uniform(0.0, 2.0 * np.pi, 5)
-    waves = np.sin(2.0 * np.pi * frequencies[:, None] * times + phases[:, None])
+    waves = np.sin(2.0 * np.pi * frequencies[:, None] * times + rng.uniform(0.0, 2.0 * np.pi, 5)[:, None])
     # A sine of amplitude 1 has the mean square 1/2, and five independent ones 5/2.
     return rms * np.sqrt(2.0 / 5.0) * waves.sum(axis=0)
 
@@ -141,8 +140,7 @@ def rotation_quaternion(yaw: np.ndarray, pitch: np.ndarray) -> Float[np.ndarray,
 def direction(yaw: Angle, pitch: Angle) -> np.ndarray:
     """Return the unit vector that looks along yaw and pitch."""
     cos_pitch = np.cos(pitch)
-    parts = np.broadcast_arrays(np.sin(yaw) * cos_pitch, -np.sin(pitch), np.cos(yaw) * cos_pitch)
-    return np.stack(parts, axis=-1)
+    return np.stack(np.broadcast_arrays(np.sin(yaw) * cos_pitch, -np.sin(pitch), np.cos(yaw) * cos_pitch), axis=-1)
 
 
 def yaw_and_pitch(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

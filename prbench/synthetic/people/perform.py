@@ -330,8 +330,7 @@ def _bystander_acts(
         The other person, what they planned, and the objects that they moved; None if the recording is too short for it.
     """
     preset = wearer.preset
-    participant = f"B{index:04d}"
-    person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
+    person = draw_person(preset, f"B{index:04d}", source.generator("recording", index, "bystander-body"))
     # Something that stands where the wearer's object was or will be.
     taken = [replace(wearer.items[reach.item], position=reach.centre, rides_on=None) for reach in wearer.reaches]
     room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))

@@ -59,8 +59,7 @@ def take_hold(
     towards = unit(shoulder - centre)
     towards[1] = max(towards[1], 0.02) * 0.8
     towards = unit(towards)
-    above = orthogonal_unit(UP, towards)
-    backwards = towards * np.cos(_HAND_SLOPE) + above * np.sin(_HAND_SLOPE)
+    backwards = towards * np.cos(_HAND_SLOPE) + orthogonal_unit(UP, towards) * np.sin(_HAND_SLOPE)
     if preset.grasp == "fingertips":
         in_box = np.abs(turn(-yaw, 0.0, towards))
         away = 1.0 / float(np.max(in_box / half_extents)) + number

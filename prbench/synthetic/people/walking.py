@@ -189,8 +189,7 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Signal) -
             elapsed = (times[first:] - segment.translation_begin) / duration
             progress = kinematics.eased_trapezoid(elapsed, min(0.5 / duration, 0.45), min(0.65 / duration, 0.5))
             origin = np.array([segment.start.x, segment.start.z])
-            goal = np.array([segment.goal.x, segment.goal.z])
-            position[first:] = origin + progress[:, None] * (goal - origin)
+            position[first:] = origin + progress[:, None] * (np.array([segment.goal.x, segment.goal.z]) - origin)
     velocity = np.gradient(position, times, axis=0)
     return BasePath(position[:, 0], position[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1]))
 
@@ -282,8 +281,7 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
     pitch = np.zeros((n, 2))
     planted = np.ones((n, 2), dtype=bool)
     for step in steps:
-        middle = np.searchsorted(times, step.lift + 1.38 * step.period)
-        index = int(min(middle, n - 1))
+        index = int(min(np.searchsorted(times, step.lift + 1.38 * step.period), n - 1))
         old_ball, old_yaw = spots[step.foot]
         spots[step.foot] = _plant(person, base.pose(index), step.foot, float(base.speed[index]), None)
         new_ball, new_yaw = spots[step.foot]

@@ -67,8 +67,7 @@ def _is_failure(subject: Subject, diagnosis: Diagnosis) -> bool:
 def _hidden_by(subject: Subject, kinds: frozenset[str]) -> Finding | None:
     """Return a skip if a diagnosed fault already explains a measurement, else None."""
     found = (each for condition in subject.working for each in _diagnosed(subject, condition))
-    hiding = (each.kind for each in found if each.kind in kinds and _is_failure(subject, each))
-    first = next(hiding, "")
+    first = next((each.kind for each in found if each.kind in kinds and _is_failure(subject, each)), "")
     return skipped(f"not looked at before 'doctor' passes ({first}).") if first else None
 
 

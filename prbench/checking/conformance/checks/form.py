@@ -92,8 +92,7 @@ def load(subject: MethodSubject) -> Iterator[Finding]:
 @check("settings", "unknown options and weights are refused", needs=("load",))
 def settings(subject: MethodSubject) -> Iterator[Finding]:
     """Require that unknown options are refused, since a misspelt one would change nothing and be recorded."""
-    options = tuple(sorted((*subject.spec.options, (_NO_SUCH_OPTION, "1"))))
-    if _loads(subject, options=options):
+    if _loads(subject, options=tuple(sorted((*subject.spec.options, (_NO_SUCH_OPTION, "1"))))):
         remedy = _OPTIONS.then("a misspelt option would be recorded as if it had been used.")
         yield failed(f"--option {_NO_SUCH_OPTION}=1 was taken without a word.", remedy)
     elif _loads(subject, weights=_NO_SUCH_WEIGHTS):

@@ -203,8 +203,7 @@ _ODD_TEXTS = {
 def lengths(subject: asking.Subject) -> Iterator[Finding]:
     """Ask for the protocol's shortest and longest sequence in one batch."""
     shortest = min(subject.shortest, subject.longest)
-    rows = [subject.rows[0], subject.rows[1 % len(subject.rows)]]
-    batch = subject.batch(rows, subject.main)
+    batch = subject.batch([subject.rows[0], subject.rows[1 % len(subject.rows)]], subject.main)
     answer = subject.ask(dataclasses.replace(batch, n_frames=np.array([shortest, subject.longest])))
     if answer.motions is None:
         yield failed(f"{shortest} and {subject.longest} frames in one batch: {answer.error}", _LENGTHS)
