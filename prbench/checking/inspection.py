@@ -166,10 +166,8 @@ def _inspect_table(folder: Path) -> InspectedTable:
     if not counts.sequences:
         remarks.append(f"no sequences. {why_no_sequences(table.info)}")
     if counts.recordings_cut_short:
-        remarks.append(
-            f"{counts.recordings_cut_short} of {counts.recordings_read} recordings are cut short: a stream of theirs"
-            " ends before the others, and events may be missing. Messages in `recordings` name it."
-        )
+        said = f"{counts.recordings_cut_short} of {counts.recordings_read} recordings are cut short: a stream of theirs"
+        remarks.append(f"{said} ends before the others, and events may be missing. Messages in `recordings` name it.")
     if table.info.synthetic:
         remarks.append("synthetic sequences imitate the study's means; counts and scores are not comparable with them.")
     by_split = {split: statistics.by_split[split] for split in ("train", "validation", "test")}

@@ -364,10 +364,8 @@ def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader
         cause = f"{type(error).__name__}: {error}".rstrip(".")
         raise UsageError(f"{origin}: cannot be imported: {cause}. Repair or reinstall the package.") from error
     if not isinstance(reader, Reader) or not dataclasses.is_dataclass(reader):
-        raise UsageError(
-            f"{origin}: expected an instance of a frozen data class with dataset, options, find() and read(), found"
-            f" {type(reader).__name__}."
-        )
+        said = f"{origin}: expected an instance of a frozen data class with dataset, options, find() and read(), found"
+        raise UsageError(f"{said} {type(reader).__name__}.")
     if reader.dataset != installed.name:
         raise UsageError(f"{origin}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
     if not options:

@@ -87,15 +87,11 @@ def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
             told.append(f"{named} holds no sample with a time: events may be missing; {_REMEDY}")
             continue
         if extent.last < end - extent.slack:
-            told.append(
-                f"{named} ends {end - extent.last:.1f} s before the recording does, {extent.last - start:.1f} s after"
-                f" its start: later events may be missing; {_REMEDY}"
-            )
+            said = f"{named} ends {end - extent.last:.1f} s before the recording does, {extent.last - start:.1f} s"
+            told.append(f"{said} after its start: later events may be missing; {_REMEDY}")
         if extent.first is not None and extent.first > start + extent.slack and not extent.may_start_late:
-            told.append(
-                f"{named} begins {extent.first - start:.1f} s after the recording does: earlier events may be missing;"
-                f" {_REMEDY}"
-            )
+            said = f"{named} begins {extent.first - start:.1f} s after the recording does: earlier events may be"
+            told.append(f"{said} missing; {_REMEDY}")
     return tuple(told)
 
 

@@ -110,10 +110,8 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
         remedy = f"Decode them: {_CONVERT}.joints_from_features(features, n_frames)."
         found = Diagnosis("features", True, numbers, "these are HumanML3D's 263 features, not joints", remedy)
         return Finding((found,), rows.changed(lambda motion: decode(motion).astype(np.float64)).without_lengths())
-    remedy = (
-        "Multiply by the training's standard deviation and add its mean"
-        f" ({_CONVERT}.read_feature_statistics), then decode: {_CONVERT}.joints_from_features."
-    )
+    remedy = "Multiply by the training's standard deviation and add its mean"
+    remedy += f" ({_CONVERT}.read_feature_statistics), then decode: {_CONVERT}.joints_from_features."
     cause = "these are HumanML3D's 263 features, still standardised"
     return Finding((Diagnosis("features", True, numbers, cause, remedy),), motion_set, unreadable=True)
 
@@ -215,10 +213,8 @@ def examine_body(motion_set: MotionSet) -> Finding | None:
     soft = softness(motion_set.distances)
     if shape >= _SHAPELESS or (soft < _FLABBY and shape > 1.0):
         return None
-    evidence = (
-        f"mean places of the joints lie {shape:.1f} standard deviations apart (those of bodies more than"
-        f" {_SHAPELESS:g}); the steadiest distances between joints vary by {soft:.0%}"
-    )
+    evidence = f"mean places of the joints lie {shape:.1f} standard deviations apart (those of bodies more than"
+    evidence += f" {_SHAPELESS:g}); the steadiest distances between joints vary by {soft:.0%}"
     remedy = "Undo the scaling of the training before the motions are handed over."
     cause = "scaled features, offsets or noise instead of positions"
     found = not_positions(motion_set, evidence) or Diagnosis("standardised", True, evidence, cause, remedy)

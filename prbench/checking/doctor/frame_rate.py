@@ -42,10 +42,8 @@ def examine_length(motion_set: MotionSet) -> Finding | None:
     ratios = np.log((found - 1).clip(1) / (asked - 1).clip(1))
     ratio = float(np.exp(np.median(ratios)))
     row = int(np.argmax(wrong))
-    evidence = (
-        f"another length in {motion_set.in_words(int(wrong.sum()))}, such as {found[row]} frames instead of"
-        f" {asked[row]}; time is stretched by {ratio:.3f} (median)"
-    )
+    evidence = f"another length in {motion_set.in_words(int(wrong.sum()))}, such as {found[row]} frames instead of"
+    evidence += f" {asked[row]}; time is stretched by {ratio:.3f} (median)"
     remedy = "Return as many frames as were asked for (n_frames)."
     rate = min(_RATES, key=lambda usual: abs(np.log(usual / (motion_set.fps * ratio))))
     is_usual = abs(np.log(rate / (motion_set.fps * ratio))) < _NEAR
@@ -92,10 +90,8 @@ def examine_repeats(motion_set: MotionSet) -> Finding | None:
     if period > 1 and regular > 0.5:
         rhythm = f", every {period} frames in {regular:.0%} of the cases"
         cause += f" (as from {motion_set.fps * (period - 1) / period:.3g} to {motion_set.fps:g} frames a second)"
-    evidence = (
-        f"{sum(int(inside.sum()) for inside in found.values())} frames of {motion_set.in_words(len(found))} equal the"
-        f" frame before them in the midst of movement{rhythm}"
-    )
+    evidence = f"{sum(int(inside.sum()) for inside in found.values())} frames of {motion_set.in_words(len(found))}"
+    evidence += f" equal the frame before them in the midst of movement{rhythm}"
     undone = list(motion_set.motions)
     for row, inside in found.items():
         kept = np.flatnonzero(np.concatenate(([True], ~inside)))
@@ -141,10 +137,8 @@ def examine_holds(motion_set: MotionSet) -> Finding | None:
         if not frames or len(frames) * 3 < len(motion_set):
             continue
         abrupt = sum(speed > _FULL_SPEED for speed in speeds)
-        evidence = (
-            f"the {where} {np.median(frames):.0f} frames (median) of {motion_set.in_words(len(frames))} are one and the"
-            f" same; in {abrupt} the body {does} {np.median(speeds):.2f} m/s (median) at once"
-        )
+        evidence = f"the {where} {np.median(frames):.0f} frames (median) of {motion_set.in_words(len(frames))} are one"
+        evidence += f" and the same; in {abrupt} the body {does} {np.median(speeds):.2f} m/s (median) at once"
         diagnoses.append(Diagnosis("clock", abrupt * 2 > len(frames), evidence, cause, remedy))
     if not diagnoses:
         return None
@@ -170,10 +164,8 @@ def examine_rhythm(motion_set: MotionSet) -> Finding | None:
     if best is None:
         return None
     period, explained, stands_out, count = best
-    evidence = (
-        f"every {period} frames a step is {np.exp(stands_out):.2f} times as long as its neighbours in"
-        f" {motion_set.in_words(count)}; this explains {explained:.0%} of how steps stand out"
-    )
+    evidence = f"every {period} frames a step is {np.exp(stands_out):.2f} times as long as its neighbours in"
+    evidence += f" {motion_set.in_words(count)}; this explains {explained:.0%} of how steps stand out"
     cause = "frames were picked by rounded indices, so that time passes unevenly"
     if abs(stands_out - np.log(2)) < 0.25:
         fps = motion_set.fps

@@ -143,10 +143,8 @@ def examine_left_right(motion_set: MotionSet) -> Finding | None:
     mirrored, reason = _is_mirrored(motion_set)
     if mirrored is None:
         kind = "left-right"
-        cause = (
-            "left and right joints are exchanged, or the world is mirrored (an axis negated, or two exchanged);"
-            " for a symmetric body the two give the same numbers"
-        )
+        cause = "left and right joints are exchanged, or the world is mirrored (an axis negated, or two exchanged);"
+        cause += " for a symmetric body the two give the same numbers"
         remedy = f"{exchange} If the world is mirrored instead: {flip}."
     elif mirrored:
         kind = "mirrored"

@@ -106,10 +106,8 @@ def examine_facing(motion_set: MotionSet) -> Finding | None:
         cause = "motions are turned as a whole, by the axes of another program or a canonical frame of its own"
         off = np.full(len(motion_set), np.angle(mean))
     else:
-        evidence = (
-            f"first frames face all ways: {np.rad2deg(typical):.0f} degrees off +Z (median), from"
-            f" {np.rad2deg(off.min()):.0f} to {np.rad2deg(off.max()):.0f}"
-        )
+        evidence = f"first frames face all ways: {np.rad2deg(typical):.0f} degrees off +Z (median), from"
+        evidence += f" {np.rad2deg(off.min()):.0f} to {np.rad2deg(off.max()):.0f}"
         cause = "motions are in the frame of their rooms or recordings, and were not put into their canonical frames"
     if len(motion_set) > 1:
         evidence += f" ({len(motion_set)} motions)"
@@ -144,10 +142,8 @@ def examine_root(motion_set: MotionSet) -> Finding | None:
             f" {motion_set.in_words(int(pinned.sum()))}, while ankles move up to {np.array(feet)[pinned].max():.2f} m"
         )
         cause = "the path over the ground was left out, or every frame was put into a canonical frame of its own"
-        remedy = (
-            "Add up the root's velocities (prbench.representation.decode does it for the 263 features), and turn whole"
-            " motions by the heading of their first frame: prbench.representation.canonicalise."
-        )
+        remedy = "Add up the root's velocities (prbench.representation.decode does it for the 263 features), and turn"
+        remedy += " whole motions by the heading of their first frame: prbench.representation.canonicalise."
     else:
         return None
     on_the_floor = motion_set.changed(lambda motion: motion - motion[..., 1].min() * _UP)

@@ -139,10 +139,8 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
     if not gaze.valid.any():
         remarks.append("no gaze row has a direction and a pose of the glasses: nothing can be primed")
     if low := int((readings.trajectory.quality < mps.LEAST_QUALITY).sum()):
-        remarks.append(
-            f"{low} of {len(readings.trajectory.quality)} poses of the glasses that were read have a quality below"
-            f" {mps.LEAST_QUALITY} and are invalid"
-        )
+        said = f"{low} of {len(readings.trajectory.quality)} poses of the glasses that were read have a quality below"
+        remarks.append(f"{said} {mps.LEAST_QUALITY} and are invalid")
     return tuple(remarks)
 
 

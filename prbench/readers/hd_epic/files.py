@@ -179,10 +179,8 @@ def _mps_files(base: Path, video: str) -> tuple[list[InputFile], str | None]:
     other = _archive_or_folder(base / hd_epic.OTHER_SLAM_FOLDER, video)
     if number is None and other is not None:
         if not _listed(other, frozenset({mps.TRAJECTORY})):
-            return files, (
-                f"{hd_epic.OTHER_SLAM_FOLDER}/{other.name} holds no {mps.TRAJECTORY_FILE}: this video was aligned to"
-                " its kitchen by other means than SLAM, in files whose layout is not known"
-            )
+            said = f"{hd_epic.OTHER_SLAM_FOLDER}/{other.name} holds no {mps.TRAJECTORY_FILE}: this video was aligned to"
+            return files, f"{said} its kitchen by other means than SLAM, in files whose layout is not known"
         place = other
     return [*files, *_listed(place, _SLAM_ROLES)], None
 

@@ -71,10 +71,8 @@ class ClockMatch:
     def remark(self) -> str:
         """Return messages for the user."""
         drift = f", drift {self.drift * 1e6:+.2f} ppm" if self.drift else ""
-        return (
-            f"clocks aligned by {self.matched} of {self.rows} headset rows:"
-            f" device - ground truth = {self.offset_ns / 1e9:.6f} s ± {self.half_width_ns / 1e6:.2f} ms{drift}"
-        )
+        said = f"clocks aligned by {self.matched} of {self.rows} headset rows:"
+        return f"{said} device - ground truth = {self.offset_ns / 1e9:.6f} s ± {self.half_width_ns / 1e6:.2f} ms{drift}"
 
 
 def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: str) -> ClockMatch:

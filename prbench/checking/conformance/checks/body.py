@@ -83,10 +83,8 @@ def initial_pose(subject: Subject) -> Iterator[Finding]:
         first = np.stack([answer.motion(row)[0] for row in range(len(answer.batch))])
         errors = np.linalg.norm(first - answer.batch.initial_joints, axis=-1).mean(axis=-1)
         error = float(np.median(errors))
-        text = (
-            f"under {condition.value}: the first frame is {100 * error:.1f} cm from the initial pose (median; largest"
-            f" {100 * errors.max():.1f} cm; mean over joints)."
-        )
+        text = f"under {condition.value}: the first frame is {100 * error:.1f} cm from the initial pose (median;"
+        text += f" largest {100 * errors.max():.1f} cm; mean over joints)."
         if error > _INITIAL_WARNING:
             yield warning(text, "Frame 0 is the initial pose, not the frame after it.", error_m=error)
         else:

@@ -121,10 +121,8 @@ def weights(subject: MethodSubject) -> Iterator[Finding]:
                 digest = weights_digest(first)
             except Exception as error:  # the method's own code
                 said = str(error) if isinstance(error, PrbenchError) else f"raised {type(error).__name__}: {error}"
-                remedy = (
-                    "For every condition that you declare, return the path of an existing file or folder as"
-                    " pathlib.Path, or None if it uses none; a run asks before it generates."
-                )
+                remedy = "For every condition that you declare, return the path of an existing file or folder as"
+                remedy += " pathlib.Path, or None if it uses none; a run asks before it generates."
                 yield failed(f"weights_for({condition.value}): {said}", remedy)
                 return
             if first != second:

@@ -97,10 +97,8 @@ def process(subject: asking.MethodSubject) -> Iterator[Finding]:
     if not moved:
         yield passed("another process gave the same bytes.", change_m=0.0)
         return
-    remedy = (
-        "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
-        " change from process to process, and so does whatever is drawn or read while loading."
-    )
+    remedy = "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
+    remedy += " change from process to process, and so does whatever is drawn or read while loading."
     finding = failed if moved > asking.TOLERANCE else warning
     yield finding(f"another process moved joints by up to {asking.metres(moved)}.", remedy, change_m=moved)
 
