@@ -140,7 +140,7 @@ def test_a_broken_reader_is_named_in_the_list_and_when_it_is_asked_for(install, 
     ("manifest", "message"),
     [
         ("", "made-up.toml"),
-        ("schema = ", "found Object"),
+        ("schema = ", "expected a TOML file"),
         (MANIFEST.format(dataset="made-up") + "tilt = 3", "tilt"),
         (MANIFEST.format(dataset="another"), "expected name = 'made-up' and kind = 'benchmark'"),
     ],

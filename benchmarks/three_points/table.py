@@ -69,7 +69,14 @@ TRACKS = schema_of(Track)
 
 
 class TrackCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """What a table of tracks holds."""
+    """What a table of tracks holds.
+
+    Attributes:
+        recordings: Number of recordings with tracks.
+        participants: Number of participants.
+        tracks: Number of tracks.
+        frames: Number of frames in all tracks.
+    """
 
     recordings: Count
     participants: Count

@@ -277,16 +277,27 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     def offline(self) -> Any:
-        """Return the module that writes what a method may see and scores what was made elsewhere."""
-        raise NotImplementedError(self.name)
+        """Return the module that writes what a method may see and scores what was made elsewhere.
+
+        Raises:
+            UsageError: of a benchmark whose methods run here alone; so do :meth:`measure` and :meth:`view`.
+        """
+        raise self._lacks("files of conditions and answers")
 
     def measure(self, predicted: np.ndarray, recorded: np.ndarray, **given: Any) -> dict[str, float]:
         """Return the scores of one answer that is given as arrays, as a run computes them."""
-        raise NotImplementedError(self.name)
+        del predicted, recorded, given
+        raise self._lacks("scores of single answers")
 
     def view(self, request: Any) -> Any:
         """Draw what methods answered; request and report are those of :func:`prbench.viewing.view.view`."""
-        raise NotImplementedError(self.name)
+        del request
+        raise self._lacks("pictures of runs")
+
+    def _lacks(self, what: str) -> UsageError:
+        return UsageError(
+            f"the benchmark {self.name} does not have {what}; `prbench run` makes and scores its answers."
+        )
 
     @abstractmethod
     def recording_key(self, sequence_id: str) -> str:

@@ -149,7 +149,7 @@ def bend_arms(
     Args:
         joints: Estimated joints, metres; changed in place.
         position: Measured head and wrists.
-        valid: Where they were measured.
+        valid: True where they were measured.
     """
     for place, wrist in enumerate(WRISTS, start=1):
         rows = valid[:, place] & np.isfinite(joints[:, wrist, 0])

@@ -149,3 +149,11 @@ def test_the_printed_share_of_the_lower_body_is_impossible_in_one_row_alone():
         share = (row["mpjpe"] - row["mpjpe_upper"]) / (row["mpjpe_lower"] - row["mpjpe_upper"])
         odd = key[1:3] == ("Nymeria", "BoDiffusion")
         assert (share < 0.3) is odd, key
+
+
+def test_commands_that_it_does_not_have_say_so(runs, tracks, tmp_path, capsys):
+    asked = ["--benchmark", "three-points", "--data", str(tracks), "--condition", "head", "--out", str(tmp_path / "c")]
+    assert main(["export-conditions", *asked]) == 2
+    assert "three-points does not have files of conditions" in capsys.readouterr().err
+    assert main(["view", str(runs / "head"), "--data", str(tracks), "--out", str(tmp_path / "v.png")]) == 2
+    assert "three-points does not have pictures" in capsys.readouterr().err
