@@ -124,9 +124,8 @@ def pairs_option(*words: str, metavar: str) -> Callable:
     return option(*words, type=KeyValue(), multiple=True, metavar=metavar, callback=paired)
 
 
-benchmark_option = choice_option(
-    "--benchmark", list(benchmarks()), f"What is asked of the method (default {default_benchmark().name})."
-)
+_ASKED = f"What is asked of the method: {', '.join(benchmarks())} (default {default_benchmark().name})."
+benchmark_option = choice_option("--benchmark", list(benchmarks()), _ASKED, metavar="NAME")
 weights_option = click.option(
     "--weights", type=PATH, metavar="NAME|FILE", help="The method's weights: bundled ones by name, a file or a folder."
 )

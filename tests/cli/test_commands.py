@@ -117,7 +117,7 @@ def test_nothing_asked_shows_the_commands_in_sections_and_fails(capsys):
         (["run", "--meth", "static"], "No such option '--meth'."),
         (["synthesize", "adt", "--recordings", "4"], "No such option '--recordings'. Did you mean '--count'?"),
         (["help", "inspect"], "`prbench COMMAND --help`"),
-        (["run", "--condition", "goal-lok"], "'pose+gaze', 'all'. Did you mean 'goal-loc'?"),
+        (["run", "--condition", "goal-lok"], "'head+wrists', 'all'. Did you mean 'goal-loc'?"),
         (["score", "x.npz", "--data", "t", "--benchmark", "prime-reach"], "Did you mean 'prime-and-reach'?"),
         (["run", "--method"], "requires an argument"),
         (["inspect"], "Missing argument 'DIR...'"),
