@@ -208,9 +208,8 @@ class _CrossAttentionInjection(nn.Module):
 
     def forward(self, tokens: Tokens, vector: Float[Tensor, "batch size"]) -> Tokens:
         """Let every token look at the three parts of the vector."""
-        parts = stack(
-            [layer(vector[:, part]) for layer, part in zip(self.embeddings.values(), self.parts, strict=True)], dim=1
-        )
+        embeddings = zip(self.embeddings.values(), self.parts, strict=True)
+        parts = stack([layer(vector[:, part]) for layer, part in embeddings], dim=1)
         scores = self.query(tokens) @ self.key(parts).transpose(1, 2) / math.sqrt(tokens.shape[-1])
         return tokens + softmax(scores, dim=-1) @ self.value(parts)
 

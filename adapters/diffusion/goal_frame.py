@@ -145,7 +145,11 @@ class GoalFrame:
             steps: Let each foot stand or swing (:mod:`prbench_adapters.diffusion.footsteps`) instead of gliding.
             reach: Lead the wrist that ends nearer to the goal up to it.
         """
-        pose = self._pose(features, n_frames, fps)
+        # Smooth features of unit directions, with the frames that are given.
+        smooth = smoothed(features[..., :N_POSE_FEATURES], n_frames)
+        before, directions, after = smooth.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
+        directions = unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
+        pose = self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
         if steps:
             # Ankles move so that toes stand or swing instead of gliding.
             stands = (features[..., N_POSE_FEATURES:] > _CERTAIN).cpu().numpy()
@@ -169,13 +173,6 @@ class GoalFrame:
         """
         pose = self._reaching(self._pose_features(joints), n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
-
-    def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Flat:
-        """Smooth features of unit directions, with the frames that are given."""
-        features = smoothed(features[..., :N_POSE_FEATURES], n_frames)
-        before, directions, after = features.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
-        directions = unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
-        return self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
 
     def _joints(self, features: Flat) -> Joints:
         """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, Generic, TypeVar
 
 import msgspec
-import torch
 from torch import nn
 
 from prbench_adapters.prediction import belfusion
@@ -13,7 +12,7 @@ from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusi
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
 from prbench_adapters.training.batches import SeenWindows
-from prbench_adapters.training.weights import Weights, weights_header
+from prbench_adapters.training.weights import Weights
 
 Sizes = TypeVar("Sizes", bound=msgspec.Struct)
 PredictorNetwork = CoefficientDiffusion | CVAE | DLow | belfusion.BeLFusion
@@ -78,12 +77,6 @@ AUTOENCODERS = "belfusion-autoencoders"
 # Maps each method, which is the kind of its weights, to what their header holds.
 RECORDS: dict[str, Any] = dict.fromkeys(("gazemodiff", "humanmac"), DiffusionRecord)
 RECORDS |= {"cvae": CVAERecord, "dlow": DLowRecord, "belfusion": BeLFusionRecord}
-
-
-def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Tensors and header entries of a network, frozen parts with it: a weights file needs no other."""
-    header = weights_header(kind, record, f"windows/{record.windows.joint_set}")
-    return {f"network.{name}": tensor for name, tensor in network.state_dict().items()}, header
 
 
 def network_of(weights: Weights, record: Record) -> PredictorNetwork:

@@ -23,7 +23,7 @@ from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfigur
 from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
-from prbench_adapters.training.weights import Weights, origin_of, read_weights, start_from
+from prbench_adapters.training.weights import Weights, origin_of, read_weights, start_from, weights_header
 from prbench_benchmarks.motion_prediction.batch import Condition
 
 # Whole windows: joints in metres, and the direction as the last node if there is one.
@@ -178,7 +178,8 @@ class PredictorTraining(TrainingModule):
 
     def weights(self) -> tuple[dict[str, Tensor], dict[str, str]]:
         """Return the network, frozen parts with it, and the header of its file."""
-        return records.contents(self.kind, self.record, self.network)
+        tensors = {f"network.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        return tensors, weights_header(self.kind, self.record, f"windows/{self.record.windows.joint_set}")
 
     def learning_rate_factor(self, step: int) -> float:
         """Follow the course."""
@@ -313,7 +314,12 @@ class PredictorTask:
         sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
         seen = data.shape
         if self.name == "dlow":
-            return _dlow(sizes, seen, course, initial)
+            start, old = _started("dlow", initial, seen, "a trained CVAE", "cvae")
+            shape = converted(sizes, DLowConfiguration, "model")
+            record = records.DLowRecord(windows=seen, network=shape, cvae=old.network)
+            sampler = record.build()
+            start.load_into(sampler.cvae, "network")
+            return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
         if self.name == "belfusion" and stage == "autoencoders":
             own = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
             network, phases = split_model_table({**sizes, **own}, BehaviourConfiguration, Phases)
@@ -352,17 +358,6 @@ def _diffusion(name: str, model: dict[str, Any], seen: records.SeenWindows) -> D
     base = preset(chosen, n_joints=seen.n_joints)
     size = {"gaze": seen.direction, "observed": seen.observed, "predicted": seen.predicted}
     return converted({**msgspec.to_builtins(base), **model, **size}, DiffusionConfiguration, "model")
-
-
-def _dlow(
-    model: dict[str, Any], seen: records.SeenWindows, course: RateCourse, initial: Path | None
-) -> PredictorTraining:
-    """DLow's sampler for a trained CVAE, which ``--init`` names."""
-    start, old = _started("dlow", initial, seen, "a trained CVAE", "cvae")
-    record = records.DLowRecord(windows=seen, network=converted(model, DLowConfiguration, "model"), cvae=old.network)
-    sampler = record.build()
-    start.load_into(sampler.cvae, "network")
-    return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
 
 
 def _belfusion(

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import rotation_matrices
 from prbench.randomness import named_generator
-from prbench.sequences.sequence import SequenceChunk
 from prbench_adapters.prediction.training import converted
 from prbench_adapters.three_points import features
 from prbench_adapters.three_points.diffusion import DiffusionConfiguration, TrackDiffusion, turned
@@ -37,14 +36,6 @@ _DEVICES = ("device_position", "device_rotation", "device_valid", "rotation_vali
 TrackItem = tuple[Tensor, Tensor, Tensor]
 
 
-def collate_tracks(items: Sequence[TrackItem]) -> features.TrackWindows:
-    """Stack windows, each in the frame of its last head."""
-    rows, columns, offsets = (torch.stack(parts) for parts in zip(*items, strict=True))
-    windows, turn, _ = features.in_head_frame(rows)
-    rotations = turned(columns, turn.mT)
-    return features.TrackWindows(windows, rotations, windows[:, :, 36:39].clone(), offsets)
-
-
 class TracksDataset(DrawnDataset):
     """All tracks of some tables and a split, held in memory: about 750 bytes a frame.
 
@@ -63,8 +54,6 @@ class TracksDataset(DrawnDataset):
         TableError: if a table cannot be read, or has no window of this split.
     """
 
-    collate = staticmethod(collate_tracks)
-
     def __init__(self, tables: Sequence[Any], *, split: str, window: int, fps: float, seed: int = 0) -> None:
         self.tables = tuple(each if isinstance(each, TracksTable) else TracksTable.open(each) for each in tables)
         self.split, self.window, self.seed = split, window, seed
@@ -76,20 +65,27 @@ class TracksDataset(DrawnDataset):
                 raise UsageError(f"{table.folder}: expected {fps:g} frames/s, found {table.info.fps:g}: see model.fps.")
             for part in parts_of(split):
                 for track in table.chunks(split=part, columns=(*_DEVICES, "rotations", "offsets"), rows=1):
-                    self._take(track, fps)
+                    position, rotation, *masks = (track.frames(name) for name in _DEVICES)
+                    given = (position.reshape(-1, 3, 3), rotation.reshape(-1, 3, 4), *masks)
+                    rows = features.track_values(*given, fps=fps)
+                    local = torch.from_numpy(rotation_matrices(track.frames("rotations").reshape(-1, 22, 4)))
+                    offsets = torch.from_numpy(track.vectors("offsets").reshape(22, 3).copy())
+                    starts = range(0, len(rows) - window + 1, int(fps))
+                    self._places += [(len(self._tracks), start) for start in starts]
+                    self._tracks.append((rows, features.columns_of(local).float(), offsets))
             counts.append(len(self._places) - sum(counts))
             if not counts[-1]:
                 raise TableError(f"{table.folder}: expected tracks of {window} frames in split '{split}', found none.")
         self.counts = tuple(counts)
         self.lengths = np.full(len(self._places), window)
 
-    def _take(self, track: SequenceChunk, fps: float) -> None:
-        position, rotation, *masks = (track.frames(name) for name in _DEVICES)
-        rows = features.track_values(position.reshape(-1, 3, 3), rotation.reshape(-1, 3, 4), *masks, fps=fps)
-        local = torch.from_numpy(rotation_matrices(track.frames("rotations").reshape(-1, 22, 4)))
-        offsets = torch.from_numpy(track.vectors("offsets").reshape(22, 3).copy())
-        self._places += [(len(self._tracks), start) for start in range(0, len(rows) - self.window + 1, int(fps))]
-        self._tracks.append((rows, features.columns_of(local).float(), offsets))
+    @staticmethod
+    def collate(items: Sequence[TrackItem]) -> features.TrackWindows:
+        """Stack windows, each in the frame of its last head."""
+        rows, columns, offsets = (torch.stack(parts) for parts in zip(*items, strict=True))
+        windows, turn, _ = features.in_head_frame(rows)
+        rotations = turned(columns, turn.mT)
+        return features.TrackWindows(windows, rotations, windows[:, :, 36:39].clone(), offsets)
 
     def __getitem__(self, index: int | tuple[int, int]) -> TrackItem:
         """Return the item of a place, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""

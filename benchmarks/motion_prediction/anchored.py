@@ -106,7 +106,6 @@ def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> R
         if start < 0 or n_scored < round(anchored.shortest_future * rules.fps):
             continue
         looking = int(shown[start : border + 1].sum())
-        windows.append(
-            Window(start, looking, n_scored, anchor=anchor, goal=goal if border + n_scored == event else None)
-        )
+        reached = goal if border + n_scored == event else None
+        windows.append(Window(start, looking, n_scored, anchor=anchor, goal=reached))
     return replace(run, windows=tuple(windows))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +26,7 @@ from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
 from prbench_benchmarks.motion_prediction.metrics import bone_error, first_frame_jump
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import FILE_NAME, Run, Window, WindowsTable, write_windows
+from prbench_benchmarks.motion_prediction.table import FILE_NAME, Window, WindowsTable, write_windows
 
 BENCHMARK = "motion-prediction"
 WINDOWS = 12  # Asked about, unless a predictor is slow.
@@ -37,6 +36,7 @@ RICHEST_FIRST = (Condition.POSE_GAZE, Condition.POSE_HEAD, Condition.POSE)
 _TO_LEARN_FROM = 60
 _BLIND = "windows-without-futures"
 _FEW = 5
+_FRAMES = ("joints", "joints_valid", "gaze", "gaze_valid", "head_direction")  # of a run, one value a frame
 _OTHER_KEYS = 7919
 _FURTHER_KEYS = 104_729  # Added to the keys of windows for other ones.
 
@@ -96,7 +96,10 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
         asked = []
         for row in rows:
             run = runs[row["row"]]
-            alone = _part(run, row["window_id"], row["start"], min(row["start"] + length, len(run)))
+            part = slice(row["start"], min(row["start"] + length, len(run)))
+            frames = {name: getattr(run, name)[part].copy() for name in _FRAMES}
+            start_time = run.start_time + part.start / run.fps
+            alone = replace(run, run_id=row["window_id"], start_time=start_time, **frames)
             looking = int(alone.gaze_valid[:observed].sum())
             asked.append(replace(alone, windows=(Window(0, looking, row["n_scored"]),)))
         try:
@@ -114,12 +117,6 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
         with np.errstate(invalid="ignore"):  # digests of numbers that are none
             write_windows(blind, table.info, [*asked, *train])
     return AskedWindows(WindowsTable.open(whole), WindowsTable.open(blind))
-
-
-def _part(run: Run, name: str, first: int, end: int) -> Run:
-    fields = ("joints", "joints_valid", "gaze", "gaze_valid", "head_direction")
-    frames = {field: getattr(run, field)[first:end].copy() for field in fields}
-    return replace(run, run_id=name, start_time=run.start_time + first / run.fps, **frames)
 
 
 class PredictorSubject(MethodSubject):
@@ -214,7 +211,7 @@ class PredictorSubject(MethodSubject):
     @staticmethod
     def with_keys(batch: ObservedBatch, added: int) -> ObservedBatch:
         """Return the batch with other keys."""
-        return dataclasses.replace(batch, key=tuple((key + added) % 2**63 for key in batch.key))
+        return replace(batch, key=tuple((key + added) % 2**63 for key in batch.key))
 
     def rows_of(self, batch: ObservedBatch, rows: Sequence[int]) -> ObservedBatch:
         """See :meth:`MethodSubject.rows_of`."""
@@ -222,7 +219,7 @@ class PredictorSubject(MethodSubject):
 
     def nudged(self, batch: ObservedBatch, by: np.float32) -> ObservedBatch:
         """Move the observed poses."""
-        return dataclasses.replace(batch, observed_joints=batch.observed_joints + by)
+        return replace(batch, observed_joints=batch.observed_joints + by)
 
     def ask(
         self, batch: ObservedBatch, *, seed: int = 0, state_seed: int = STATE_SEED, n_samples: int | None = None
@@ -309,11 +306,8 @@ def past(subject: PredictorSubject) -> Iterator[Finding]:
     """Look for futures that begin with the observed frames."""
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
     answers = {condition: answer for condition, answer in answers.items() if answer.answered}
-
-    def is_copy(answer: Answer) -> bool:
-        return "begin with the" in answer.error
-
-    yield from form.by_condition(subject, answers, is_copy, _PAST, said="none begins with the observed frames")
+    said = "none begins with the observed frames"
+    yield from form.by_condition(subject, answers, lambda answer: "begin with the" in answer.error, _PAST, said=said)
 
 
 @check("firewall", "without futures in the table every prediction stays the same", of_motions=True)

@@ -78,14 +78,12 @@ class JointSet:
         safe = np.where(known, length, 1.0)
         sine = np.where(known, across[:, 2] / safe, 0.0)  # forward is Y x across
         cosine = np.where(known, -across[:, 0] / safe, 1.0)
-        frames = np.zeros((len(poses), 4, 4))
+        frames = np.tile(np.eye(4), (len(poses), 1, 1))
         frames[:, 0, 0] = cosine
         frames[:, 0, 2] = sine
-        frames[:, 1, 1] = 1.0
         frames[:, 2, 0] = -sine
         frames[:, 2, 2] = cosine
         frames[:, [0, 2], 3] = poses[:, self.index(self.pelvis)[0]][:, [0, 2]]
-        frames[:, 3, 3] = 1.0
         return frames
 
 

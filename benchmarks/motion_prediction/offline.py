@@ -216,7 +216,16 @@ def score_futures(
     if problem := name_problem(called, own=benchmark.about.methods):
         raise UsageError(f"{problem}. Say what the predictor is called with --name.")
     info, batch = read_windows(conditions)
-    _require_from_table(info, batch, conditions, data)
+    # A file of windows that the table does not give, value by value, is refused.
+    made, own, _ = _windows_of(data, info.condition.value, **{name: getattr(info, name) for name in _ASKED})
+    if made.table != info.table:
+        remedy = "Give --data the very table that they were exported from."
+        raise PredictionsError(f"{conditions}: expected windows of {data[0]}, found those of another table. {remedy}")
+    pairs = [(getattr(own, name), getattr(batch, name)) for name in ("observed_joints", "gaze", "gaze_valid")]
+    same = made == info and own.key == batch.key
+    if not same or not all(np.array_equal(ours, theirs) for ours, theirs in pairs if ours is not None):
+        remedy = "The file was changed: export the windows again."
+        raise PredictionsError(f"{conditions}: expected what {data[0]} gives, found something else. {remedy}")
     joints = _joints(futures, info, batch)
     method = MethodRecord.of_file(called, futures.name, file_digest(futures), one_design=one_design)
     with contextlib.ExitStack() as held:
@@ -246,24 +255,6 @@ def score_futures(
         own = RunPart(prepared, dataset, run.dataset(dataset.name), engine or InProcess(), progress)
         summaries = scored_parts([own])
     return summaries[0], record.method.origin
-
-
-def _require_from_table(info: WindowsFileInfo, batch: ObservedBatch, path: Path, data: Sequence[Path]) -> None:
-    """Refuse a file of windows that the table does not give, value by value.
-
-    Raises:
-        PredictionsError: naming what differs.
-    """
-    condition = info.condition.value
-    made, given, _ = _windows_of(data, condition, **{name: getattr(info, name) for name in _ASKED})
-    if made.table != info.table:
-        remedy = "Give --data the very table that they were exported from."
-        raise PredictionsError(f"{path}: expected windows of {data[0]}, found those of another table. {remedy}")
-    pairs = [(getattr(given, name), getattr(batch, name)) for name in ("observed_joints", "gaze", "gaze_valid")]
-    same = made == info and given.key == batch.key
-    if not same or not all(np.array_equal(ours, theirs) for ours, theirs in pairs if ours is not None):
-        remedy = "The file was changed: export the windows again."
-        raise PredictionsError(f"{path}: expected what {data[0]} gives, found something else. {remedy}")
 
 
 def _joints(

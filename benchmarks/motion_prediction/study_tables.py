@@ -304,24 +304,19 @@ def _measured(each: Estimate) -> dict[str, Any]:
     return {"value": each.mean, "low": each.low, "high": each.high, **counts}
 
 
-def _cells(row: TableRow, dataset: str, found: Mapping[str, Estimate]) -> tuple[Cell, ...]:
-    units = {info.id: info.unit for info in prediction_metrics()}
-    return tuple(
-        Cell(dataset=dataset, metric=metric, unit=units[metric], **_of_row(row), **_measured(each))
-        for metric, each in found.items()
-    )
-
-
 def _laid_out(
     number: str, table: WindowsTable, part: str, scores: Mapping[str, Scores], missing: Mapping[str, str], samples: int
 ) -> Table:
     """One table of the study: measured rows, printed ones of each dataset, the order of the methods, and notes."""
     rows = [row for row in load_tables().rows if number in row.tables]
     measured = {row.name: estimates(scores[row.name]) for row in rows if row.name in scores}
-    lines = [
-        Row(text={"method": row.label}, cells=_cells(row, table.info.dataset, measured.get(row.name, {})))
-        for row in rows
-    ]
+    units = {info.id: info.unit for info in prediction_metrics()}
+    lines = []
+    for row in rows:
+        about = {"dataset": table.info.dataset, **_of_row(row)}
+        found = measured.get(row.name, {}).items()
+        cells = (Cell(metric=metric, unit=units[metric], **about, **_measured(each)) for metric, each in found)
+        lines.append(Row(text={"method": row.label}, cells=tuple(cells)))
     blocks = [Block(title="measured", rows=tuple(lines))]
     notes = []
     # Methods from the smallest ADE on, each compared with the next one; references are no methods.
@@ -336,7 +331,9 @@ def _laid_out(
         for row in steps:
             p_value = compared[row.name].adjusted_p_value
             doubt = "" if p_value is not None and p_value <= SIGNIFICANCE else ", not supported by the data"
-            said.append(f"{row.label} ({_difference(compared[row.name])}{doubt})")
+            apart = compared[row.name].difference
+            interval = "" if apart.low is None else f" [{apart.low:+.3f}, {apart.high:+.3f}]"
+            said.append(f"{row.label} ({apart.mean:+.3f}{interval}{doubt})")
         notes.append(f"By ADE: {' < '.join(said)}")
     layout = table.info.dataset.removeprefix(SYNTHETIC_PREFIX)
     for dataset in (layout,) if layout in PUBLISHED_DATASETS else PUBLISHED_DATASETS:
@@ -388,12 +385,6 @@ def _notes(table: WindowsTable) -> list[str]:
             " never enter one mean with captured bodies."
         )
     return [*notes, "Ground truth and truncation floor know the future; they are no methods and are not ranked."]
-
-
-def _difference(comparison: Comparison) -> str:
-    found = comparison.difference
-    interval = "" if found.low is None else f" [{found.low:+.3f}, {found.high:+.3f}]"
-    return f"{found.mean:+.3f}{interval}"
 
 
 def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:

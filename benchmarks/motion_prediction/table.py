@@ -281,46 +281,40 @@ class WindowsTable:
             pa.concat_tables(read_parquet(path, columns) for path in table_parts(folder, name)).combine_chunks()
             for name, columns in (("streams", short), ("windows", WINDOWS.names))
         )
-        table = cls(folder, info, windows, runs)
-
         require_unchanged(info, folder, schema, _IDENTITY, main="streams", others=["windows"], rows=RUNS_AT_ONCE)
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
-        table._require_fitting()
-        return table
-
-    def _require_fitting(self) -> None:
-        """Refuse numbers that do not fit the frames that there are, before memory is taken for what they announce."""
-        info = self.info
-        lengths = self.runs["n_frames"].to_numpy().astype(np.int64)
+        # Refuse numbers that do not fit the frames that there are, before memory is taken for what they announce.
+        lengths = runs["n_frames"].to_numpy().astype(np.int64)
         told: dict[str, object] = {
-            "fps": next((fps for fps in self.runs["fps"].to_pylist() if fps != info.fps), info.fps),
+            "fps": next((fps for fps in runs["fps"].to_pylist() if fps != info.fps), info.fps),
             "runs": len(lengths),
             "frames": int(lengths.sum()),
-            "recordings": pc.call_function("count_distinct", [self.runs["recording_id"]]).as_py(),
-            "participants": pc.call_function("count_distinct", [self.runs["participant_id"]]).as_py(),
+            "recordings": pc.call_function("count_distinct", [runs["recording_id"]]).as_py(),
+            "participants": pc.call_function("count_distinct", [runs["participant_id"]]).as_py(),
         }
         protocol = load_prediction_protocol()
         if info.protocol_digest == protocol.digest:
             rules = protocol.windows.at(info.fps)
             told |= {name: getattr(rules, name) for name in ("observed_frames", "future_frames", "fewest_gaze_frames")}
         for name, expected in told.items():
-            require_told(info, self.folder, name, getattr(info, name), expected)
-        row = self.windows["row"].to_numpy().astype(np.int64)
+            require_told(info, folder, name, getattr(info, name), expected)
+        row = windows["row"].to_numpy().astype(np.int64)
         frames = lengths[row.clip(0, len(lengths) - 1)]
-        n_scored = self.windows["n_scored"].to_numpy().astype(np.int64)
+        n_scored = windows["n_scored"].to_numpy().astype(np.int64)
         for name, least, most in (
             ("row", 0, len(lengths) - 1),
             ("n_scored", 1, info.future_frames),
             ("n_gaze_valid", 0, info.observed_frames),
             ("start", 0, frames - info.observed_frames - n_scored),
         ):
-            found = self.windows[name].to_numpy()
+            found = windows[name].to_numpy()
             wrong = np.flatnonzero((found < least) | (found > most))
             if wrong.size:
                 at = wrong[0]
                 problem = f"expected {least} to {np.broadcast_to(most, found.shape)[at]}, found {found[at]}."
                 remedy = "Build the windows again."
-                raise TableError(f"{self.folder}, windows, row {at}, column '{name}': {problem} {remedy}")
+                raise TableError(f"{folder}, windows, row {at}, column '{name}': {problem} {remedy}")
+        return cls(folder, info, windows, runs)
 
     @property
     def identity(self) -> str:

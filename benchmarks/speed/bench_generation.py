@@ -140,9 +140,8 @@ def main() -> None:
         text=(_PROMPT,) * options.batch,
     )
     print(f"{options.threads} threads, {options.device}, torch {torch.__version__}, processor time of a sequence")
-    time_sampling(batch, options)
-    time_optimisation(batch, options)
-    time_training(batch, options)
+    for measure in (time_sampling, time_optimisation, time_training):
+        measure(batch, options)
 
 
 def time_sampling(batch: ConditionBatch, options: argparse.Namespace) -> None:

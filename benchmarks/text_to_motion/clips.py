@@ -86,7 +86,19 @@ class EvaluatedClips:
         if rate != fps:
             problem = f"expected {fps:g} frames per second, as the evaluator was trained, found {rate:g}."
             raise TableError(f"{folder}: {problem}")
-        allowed = _captions_of(table, kinds) if kinds else None
+        allowed = None
+        if kinds:
+            if not isinstance(table, CorpusTable):
+                why = "is a table of sequences, whose texts are of one kind. Leave --kind away."
+                raise UsageError(f"{folder} {why}")
+            scalars = table.scalars()
+            rows = scalars["captions"].to_pylist()
+            known = {caption["kind"] for row in rows for caption in row}
+            if not kinds & known:
+                remedy = f"there are {', '.join(sorted(known))}."
+                raise UsageError(f"{folder}: no caption is of kind {', '.join(sorted(kinds))}; {remedy}")
+            texts = [tuple(caption["text"] for caption in row if caption["kind"] in kinds) for row in rows]
+            allowed = dict(zip(scalars["sequence_id"].to_pylist(), texts))
         clips = []
         left_out = 0
         for rows in read_rows(table, split):
@@ -138,19 +150,6 @@ def recorded_features(
     """Return the crop, encoded anew in its own canonical frame."""
     motion = cut(clip.motion, drawn.start, drawn.n_frames, name=clip.sequence_id)
     return encoded(motion, configuration.representation, name=clip.sequence_id)
-
-
-def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> dict[str, tuple[str, ...]]:
-    if not isinstance(table, CorpusTable):
-        raise UsageError(f"{table.folder} is a table of sequences, whose texts are of one kind. Leave --kind away.")
-    scalars = table.scalars()
-    rows = scalars["captions"].to_pylist()
-    known = {caption["kind"] for row in rows for caption in row}
-    if not kinds & known:
-        remedy = f"there are {', '.join(sorted(known))}."
-        raise UsageError(f"{table.folder}: no caption is of kind {', '.join(sorted(kinds))}; {remedy}")
-    texts = [tuple(caption["text"] for caption in row if caption["kind"] in kinds) for row in rows]
-    return dict(zip(scalars["sequence_id"].to_pylist(), texts))
 
 
 def token_vectors(

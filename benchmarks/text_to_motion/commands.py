@@ -42,27 +42,14 @@ _TITLES = {
 @click.option("--method", metavar="NAME", help="An installed method that takes texts (default: recorded motion alone).")
 @opt.weights_option
 @opt.option_option("method")
-@click.option(
-    "--repetitions",
-    type=opt.POSITIVE,
-    metavar="N",
-    help="Repetitions of the measurement (default 20, with --multimodality 5).",
-)
-@opt.option("--prompts", "Texts of each repetition (default 1000).", type=opt.POSITIVE, default=1000, metavar="N")
+@opt.number_option("--repetitions", "Repetitions of the measurement (default 20, with --multimodality 5).")
+@opt.number_option("--prompts", "Texts of each repetition (default 1000).", default=1000)
 @click.option("--multimodality", is_flag=True, help="Generate 30 motions for each of 100 texts as well.")
-@click.option(
-    "--diversity-pairs",
-    type=opt.POSITIVE,
-    default=300,
-    metavar="N",
-    help="Pairs of motions behind the diversity (default 300).",
-)
+@opt.number_option("--diversity-pairs", "Pairs of motions behind the diversity (default 300).", default=300)
 @click.option("--words", type=opt.PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
 @click.option("--text-path", metavar="DIR|ID", help="DistilBERT's files, if the evaluator reads with it.")
 @opt.seed_option("of crops, captions, pairs and noise")
-@opt.option(
-    "--batch-size", "Motions that the method makes at once (default 64).", type=opt.POSITIVE, default=64, metavar="N"
-)
+@opt.number_option("--batch-size", "Motions that the method makes at once (default 64).", default=64)
 @opt.device_option
 @opt.threads_option
 def evaluate_text(out: Path, kinds: tuple[str, ...], **given) -> Answer:

@@ -216,7 +216,12 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     )
     configuration = evaluator.configuration
     read = clips_of.EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
-    adapter = None if request.method is None else _loaded(request.method, request)
+    adapter = None
+    if request.method is not None:
+        adapter = load_adapter(request.method, request.weights, request.options, request.device)
+        chosen_condition(request.method, adapter, Condition.TEXT)
+        if isinstance(adapter, Trainable) and request.weights is None:
+            raise UsageError(f"the method '{request.method}' learns from a table first; give it --weights.")
     supported = read.clips if adapter is None else _supported(adapter, read.clips, configuration)
     fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
     # Diversity draws two disjoint sets of so many motions from one pass.
@@ -283,14 +288,6 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
             notes.append(f"{row.source}: {row.unsupported} clips are longer than the method can generate.")
     notes.append("the evaluator is a network fitted to a training split: real motion is no upper bound.")
     return tuple(notes)
-
-
-def _loaded(method: str, request: TextEvaluationRequest) -> Adapter:
-    adapter = load_adapter(method, request.weights, request.options, request.device)
-    chosen_condition(method, adapter, Condition.TEXT)
-    if isinstance(adapter, Trainable) and request.weights is None:
-        raise UsageError(f"the method '{method}' learns from a table first; give it --weights.")
-    return adapter
 
 
 def _supported(adapter: Adapter, clips: tuple[Row, ...], configuration: EvaluatorConfiguration) -> tuple[Row, ...]:

@@ -14,13 +14,13 @@ from jaxtyping import Float, Int
 from torch import nn
 from torch.nn.utils.rnn import pack_padded_sequence
 
-from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
 from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import bytes_digest, text_digest
 from prbench.representation import N_FEATURES, Mode
 from prbench.representation.features import FOOT_CONTACTS
 from prbench.text import EncodedText, padded
+from prbench_adapters.training.configuration import require_within
 
 Steps = Float[torch.Tensor, "batch steps channels"]
 Inputs = Float[torch.Tensor, "batch steps inputs"]
@@ -61,11 +61,15 @@ class WordVectors:
             InputFileError: if a file is missing or pickled, the two do not fit together, or a needed word is missing.
         """
         words = _lines(folder / "words.txt")
-        vectors = _vectors(folder / "vectors.npy", len(words))
+        path = folder / "vectors.npy"
+        vectors = load_array(path)
+        fits = vectors.shape == (len(words), WORD_DIMENSION) and np.issubdtype(vectors.dtype, np.floating)
+        expected = f"an array of shape ({len(words)}, {WORD_DIMENSION}), one row a word of words.txt"
+        require(path, (fits, "", expected, f"shape {vectors.shape} of {vectors.dtype}", ""))
+        vectors = vectors.astype(np.float32)
         index = {word: row for row, word in enumerate(words)}
-        for word in (START, END, UNKNOWN):
-            if word not in index:
-                raise InputFileError(folder / "words.txt", "", expected=f"the word '{word}'", found="none")
+        markers = ((word in index, "", f"the word '{word}'", "none", "") for word in (START, END, UNKNOWN))
+        require(folder / "words.txt", *markers)
         classes: dict[str, str] = {}
         for name in LISTS:
             classes = dict.fromkeys(_lines(folder / f"{name}.txt"), name) | classes
@@ -127,14 +131,6 @@ def _lines(path: Path) -> list[str]:
     return read_text(path, expected="a text file with one word a line", remedy=remedy).rstrip("\n").split("\n")
 
 
-def _vectors(path: Path, words: int) -> Float[np.ndarray, "words 300"]:
-    expected = f"an array of shape ({words}, {WORD_DIMENSION}), one row a word of words.txt"
-    vectors = load_array(path)
-    if vectors.shape != (words, WORD_DIMENSION) or not np.issubdtype(vectors.dtype, np.floating):
-        raise InputFileError(path, "", expected=expected, found=f"shape {vectors.shape} of {vectors.dtype}")
-    return vectors.astype(np.float32)
-
-
 # Number of the 263 features that the movement encoder sees: all but the four contacts.
 MOVEMENT_FEATURES = FOOT_CONTACTS.start
 SNIPPET = 4  # Frames that become one snippet.
@@ -172,9 +168,7 @@ class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     max_frames: int = 196
 
     def __post_init__(self) -> None:
-        for name in ("movement_width", "motion_width", "text_width", "embedding", "most_tokens"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be 1 or more")
+        require_within(self, "at least 1", "movement_width", "motion_width", "text_width", "embedding", "most_tokens")
         if self.max_frames < SNIPPET:
             raise ValueError(f"`max_frames` must be {SNIPPET} or more")
 

@@ -100,9 +100,9 @@ def flag(*words: str) -> Callable:
     return option(*words, is_flag=True)
 
 
-def number_option(*words: str) -> Callable:
+def number_option(*words: str, **settings: Any) -> Callable:
     """Add an option whose value is a whole number of 1 or more; see :func:`option`."""
-    return option(*words, type=POSITIVE, metavar="N")
+    return option(*words, type=POSITIVE, metavar="N", **settings)
 
 
 def path_option(*words: str, metavar: str = "FILE", **settings: Any) -> Callable:

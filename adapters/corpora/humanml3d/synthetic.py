@@ -69,10 +69,9 @@ def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
     """
     with atomic_path(root / layout.JOINTS_FOLDER / f"{name}.npy") as temporary:
         np.save(temporary, motion[0].astype(np.float32), allow_pickle=False)
-    lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion[1]]
+    lines = []
+    for text, start, end in motion[1]:
+        # No tagger here, so every part of speech is X, the universal tag for others.
+        tokens = " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))
+        lines.append(f"{text}#{tokens}#{start}#{end}\n")
     write_text(root / layout.TEXTS_FOLDER / f"{name}.txt", "".join(lines))
-
-
-def _tokens(text: str) -> str:
-    """Return ``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
-    return " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))

@@ -94,15 +94,9 @@ class NymeriaWindows(NymeriaSource):
         gaze = self._gaze_file()
         return text_digest(NymeriaSource.input_digest(self), "" if gaze is None else file_digest(gaze))
 
-    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        recording = self._read()
-        row = row_of(recording, self.identity.split, self.identity.split_group)
-        return row, runs_of_recording(recording, protocol.windows, split=row.split)
-
     @foreign_input()
-    def _read(self) -> Recording:
-        """Body on the suit's clock, and gaze where trajectory, gaze file and clock allow it.
+    def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[Run]]:
+        """Body on the suit's clock, and gaze where trajectory, gaze file and clock allow it, as runs.
 
         Raises:
             InputFileError: if a file does not hold what its format promises.
@@ -124,7 +118,9 @@ class NymeriaWindows(NymeriaSource):
         streams = (gaze, nowhere, nowhere, body)  # neither camera nor head
         messages = tuple(text for text in (*motion.messages, message) if text)
         about = {"hands": (), "objects": (), "split_group": identity.split_group, "messages": messages}
-        return Recording(*whose, motion.pose_source, motion.head_tilt_deg, whole, *streams, **about)
+        recording = Recording(*whose, motion.pose_source, motion.head_tilt_deg, whole, *streams, **about)
+        row = row_of(recording, identity.split, identity.split_group)
+        return row, runs_of_recording(recording, protocol.windows, split=row.split)
 
     def _gaze_file(self) -> Path | None:
         trajectory = self.found.path(TRAJECTORY)

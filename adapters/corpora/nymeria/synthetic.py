@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
 from prbench.geometry import skeleton
+from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
@@ -37,8 +38,8 @@ _Z_UP_FROM_Y_UP = skeleton.Y_UP_FROM_Z_UP[:3, :3].T
 _OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 # Whose position and rotation a segment takes; the Pelvis segment lies between the hips.
 _JOINT_OF_SEGMENT = {
-    "Pelvis": skeleton.Joint.PELVIS,
-    **dict(zip(load_manifest("nymeria").body.joint_mapping, skeleton.Joint, strict=True)),
+    "Pelvis": Joint.PELVIS,
+    **dict(zip(load_manifest("nymeria").body.joint_mapping, Joint, strict=True)),
 }
 
 
@@ -78,7 +79,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     rng = generator("drift")
     joints = motion.joints
     points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in skeleton.XSENS_SEGMENTS], axis=1)
-    points[:, 0] = 0.5 * (joints[:, skeleton.Joint.LEFT_HIP] + joints[:, skeleton.Joint.RIGHT_HIP])
+    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
     drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
     points[..., [0, 2]] += drift[:, None]
     joints = [int(_JOINT_OF_SEGMENT[name]) for name in skeleton.XSENS_SEGMENTS]
@@ -122,9 +123,9 @@ def calibration_rotations() -> Float[np.ndarray, "23 3 3"]:
 
     Their files do not hold it, as the T-pose of a real suit turns all segments alike.
     """
-    turned = np.tile(np.eye(3), (len(skeleton.Joint), 1, 1))
+    turned = np.tile(np.eye(3), (len(Joint), 1, 1))
     down = np.diag([1.0, -1.0, -1.0])  # y along the hanging limb, x the hinge, to the left
-    for joint in skeleton.Joint:
+    for joint in Joint:
         side = 1.0 if joint.name.startswith("LEFT") else -1.0
         if joint.name.endswith(("HIP", "KNEE")):
             turned[joint] = down
@@ -140,28 +141,24 @@ def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
     lengths = dict(zip(range(1, len(skeleton.PARENTS)), skeleton.bone_lengths(motion.joints[0]), strict=True))
     tilt = np.deg2rad(motion.neck_tilt_deg)
     directions = {
-        skeleton.Joint.LEFT_HIP: (0.6, -0.8, 0.0),
-        skeleton.Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
-        skeleton.Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
-        skeleton.Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
-        skeleton.Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
-        skeleton.Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
-        **dict.fromkeys(
-            (skeleton.Joint.LEFT_SHOULDER, skeleton.Joint.LEFT_ELBOW, skeleton.Joint.LEFT_WRIST), (1.0, 0.0, 0.0)
-        ),
-        **dict.fromkeys(
-            (skeleton.Joint.SPINE1, skeleton.Joint.SPINE2, skeleton.Joint.SPINE3, skeleton.Joint.NECK), (0.0, 1.0, 0.0)
-        ),
+        Joint.LEFT_HIP: (0.6, -0.8, 0.0),
+        Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
+        Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
+        Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
+        Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
+        Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
+        **dict.fromkeys((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), (1.0, 0.0, 0.0)),
+        **dict.fromkeys((Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK), (0.0, 1.0, 0.0)),
     }
     for joint, direction in tuple(directions.items()):
         if joint.name.startswith("LEFT"):
-            directions[skeleton.Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
+            directions[Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
     joints = np.zeros((len(skeleton.PARENTS), 3))
     joints[0, 1] = 1.0
     for child in range(1, len(skeleton.PARENTS)):
-        joints[child] = joints[skeleton.PARENTS[child]] + lengths[child] * np.array(directions[skeleton.Joint(child)])
+        joints[child] = joints[skeleton.PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
     points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in skeleton.XSENS_SEGMENTS])
-    points[0] = 0.5 * (joints[skeleton.Joint.LEFT_HIP] + joints[skeleton.Joint.RIGHT_HIP])
+    points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
     return skeleton.z_up(points)
 
 

@@ -83,14 +83,6 @@ def joint_rotations(
     return turned
 
 
-def offsets_of(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray, "n 22 3 3"]) -> np.ndarray:
-    """Return each joint's offset (22, 3) from its parent in the parent's frame, metres: the median over the frames."""
-    offsets = np.zeros((len(PARENTS), 3))
-    bones = joints[:, 1:] - joints[:, _PARENTS]
-    offsets[1:] = np.median(np.einsum("njki,njk->nji", rotations[:, _PARENTS], bones), axis=0)
-    return offsets
-
-
 def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float) -> Iterator[tuple[int, int]]:
     """Yield first frame and end of each track; a stretch that is too long gives equal ones."""
     for first, stop in stretches(joined, shortest):
@@ -189,7 +181,10 @@ class TracksJob(RecordingJob):
         turned = joint_rotations(suit, frames, from_joint, manifest)
         del suit
         some = slice(None, None, max(1, len(joints) // _OFFSETS_FROM))
-        offsets = offsets_of(joints[some], turned[some])
+        # Each joint's offset from its parent in the parent's frame, metres: the median over the frames.
+        offsets = np.zeros((len(PARENTS), 3))
+        bones = joints[some, 1:] - joints[some, _PARENTS]
+        offsets[1:] = np.median(np.einsum("njki,njk->nji", turned[some, _PARENTS], bones), axis=0)
         messages = list(clean.messages)
         if self.devices == "real":
             joints, turned, given = measured(source.found, times, joints, turned, messages)

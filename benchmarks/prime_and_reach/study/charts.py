@@ -279,6 +279,7 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
         record = one.run.run.record
         about: dict[str, Any] = {"condition": record.condition, "method": record.method.name}
         about |= {"dataset": one.run.record.dataset, "origin": origin_of(synthetic=one.run.record.synthetic)}
+        about |= {"unit": "%", "sequences": one.sequences}
         rows = []
         for window, rates in zip(one.windows, one.rates, strict=True):
             words = {"window": f"{window:g} s"}
@@ -288,9 +289,7 @@ def sweep_table(sweeps: Sequence[Sweep]) -> Table:
                     words[f"{distance:g}"] = f"{100 * rate:.2f}"
                 variant = f"sigma {window:g} s; delta {distance:g} m"
                 value = float(100 * rate)
-                cells.append(
-                    Cell(metric=_METRIC, variant=variant, value=value, unit="%", sequences=one.sequences, **about)
-                )
+                cells.append(Cell(metric=_METRIC, variant=variant, value=value, **about))
             rows.append(Row(text=words, cells=tuple(cells)))
         word = ", measured on synthetic data" if one.run.record.synthetic else ""
         blocks.append(Block(title=f"{one.run.title}{word}, {one.sequences} sequences", rows=tuple(rows)))

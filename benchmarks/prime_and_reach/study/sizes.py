@@ -46,9 +46,8 @@ def table_one(tables: Sequence[SequenceTable]) -> Table:
         cells = [Cell(metric="n_sequences", value=float(row.sequences), **about)]
         for quantity, unit in QUANTITIES.items():
             spread = getattr(row, quantity)
-            cells.append(
-                Cell(metric=quantity, value=spread.mean, sd=spread.sd, unit=unit, sequences=row.sequences, **about)
-            )
+            told = {"value": spread.mean, "sd": spread.sd, "unit": unit, "sequences": row.sequences}
+            cells.append(Cell(metric=quantity, **told, **about))
         published.append(Row(text={"dataset": name}, cells=tuple(cells)))
     columns = (
         Column(key="dataset", title="Dataset", text=True),
