@@ -122,10 +122,8 @@ def _corpus_answer(report: BuildReport) -> Answer:
 
     def show() -> None:
         builds.print_stages(f"{report.info.title}: from files to clips", stages)
-        if counts.approximate_clips:
-            print(
-                f"{counts.approximate_clips} clips are marked approximate: their texts were placed by aligning starts"
-            )
+        if marked := counts.approximate_clips:
+            print(f"{marked} clips are marked approximate: their texts were placed by aligning starts")
         print(f"corpus: {report.folder}")
 
     exit_code = builds.NOT_EVERYTHING if counts.recordings_failed else 0

@@ -117,18 +117,9 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
     steps = min(_FAST_STEPS, diffusion_steps)
     # One chain is kept for decoding the result.
     iterations = _FAST_PASSES // steps - 1
-    return OptimisationSettings(
-        ddim_steps=steps,
-        spacing="trailing",
-        iterations=iterations,
-        learning_rate=0.1,
-        warmup=iterations // 8,
-        jerk_weight=0.1,
-        jerk_power=8.0,
-        decorrelation_weight=10.0,
-        keep="best",
-        stop_below=1e-6,
-    )
+    chain = OptimisationSettings(ddim_steps=steps, spacing="trailing", keep="best", stop_below=1e-6)
+    weighted = replace(chain, jerk_weight=0.1, jerk_power=8.0, decorrelation_weight=10.0)
+    return replace(weighted, iterations=iterations, learning_rate=0.1, warmup=iterations // 8)
 
 
 def finishing(diffusion_steps: int) -> OptimisationSettings:
@@ -139,16 +130,8 @@ def finishing(diffusion_steps: int) -> OptimisationSettings:
     sequences). It stops when the wrist is 5 cm from the goal, because a hand holds an object, not the wrist. What is
     left after 20 iterations is the arm's.
     """
-    return replace(
-        fast(diffusion_steps),
-        iterations=20,
-        warmup=2,
-        learning_rate=0.03,
-        decorrelation_weight=0.0,
-        hand="nearest",
-        reach="goal",
-        stop_below=0.0025,
-    )
+    short = replace(fast(diffusion_steps), iterations=20, warmup=2, learning_rate=0.03, decorrelation_weight=0.0)
+    return replace(short, hand="nearest", reach="goal", stop_below=0.0025)
 
 
 def optimisation_settings(

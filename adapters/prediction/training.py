@@ -367,9 +367,8 @@ def _belfusion(
     what = "BeLFusion's trained autoencoders"
     start, old = _started("belfusion", initial, seen, what, "belfusion --stage autoencoders")
     unet, objective = split_model_table({**model, "condition": old.network.past}, UNetConfiguration, BestOfNoises)
-    record = records.BeLFusionRecord(
-        windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
-    )
+    weight = objective.decoded_weight
+    record = records.BeLFusionRecord(windows=seen, network=unet, behaviour=old.network, decoded_weight=weight)
     try:
         network = record.build()
     except ValueError as error:

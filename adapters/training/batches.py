@@ -272,7 +272,7 @@ def _common_shape(tables: Sequence[WindowsTable], choice: WindowChoice) -> SeenW
 
 def _allowed_starts(run: Run, shape: SeenWindows, fewest_gaze: int) -> Int[np.ndarray, " starts"]:
     """First frames of the windows of a run with a body in every frame, and enough measured gaze."""
-    count = len(run) - shape.frames + 1
+    count = run.n_frames - shape.frames + 1
     if count < 1:
         return np.empty(0, dtype=np.int64)
     bodies = np.concatenate(([0], np.cumsum(run.joints_valid)))

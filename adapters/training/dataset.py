@@ -190,9 +190,8 @@ class SequenceDataset(Dataset[MotionItem]):
                 present = set(table.scalars(columns=["split"])["split"].to_pylist())
                 parts = [part for part in parts if part in present]
             for part in parts:
-                store, unusable = stores.table_store(
-                    table, part, wanted, cache or cache_folder() / "training", engine=engine
-                )
+                folder = cache or cache_folder() / "training"
+                store, unusable = stores.table_store(table, part, wanted, folder, engine=engine)
                 self._stores.append(store)
                 left_out += unusable
         # Rows that cannot be encoded, with the reason of each.

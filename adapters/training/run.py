@@ -31,7 +31,7 @@ from prbench_adapters.training.batches import DrawnDataset, Items, LengthBatches
 from prbench_adapters.training.configuration import TrainingConfiguration, resolved
 from prbench_adapters.training.dataset import configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
-from prbench_adapters.training.state import Row
+from prbench_adapters.training.state import Row, TrainingState
 from prbench_adapters.training.store import REFIT, Table, parts_of
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench_adapters.training.weights import read_weights
@@ -223,17 +223,12 @@ def run(
         with fabric.autocast():  # the precision of the training
             return validation.measure(module, fabric.device)
 
+    def describe(state: TrainingState) -> dict[str, Any]:
+        return reports.training_card(record, state, fabric.device, request.threads)
+
+    told: dict[str, Any] = {"describe": describe, "validate": validate, "report": report}
     try:
-        state = fit(
-            module,
-            batches,
-            configuration,
-            request.out,
-            fabric=fabric,
-            describe=lambda state: reports.training_card(record, state, fabric.device, request.threads),
-            validate=validate,
-            report=report,
-        )
+        state = fit(module, batches, configuration, request.out, fabric=fabric, **told)
     except TrainingStopped as stopped:
         if fabric.is_global_zero:
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0

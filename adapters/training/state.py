@@ -105,9 +105,8 @@ class TrainingState:
         others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
         rate, decay = settings.learning_rate, settings.weight_decay
         fused = all(parameter.device.type in ("cpu", "cuda") for parameter in others)
-        optimisers: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW(others, rate, settings.betas, weight_decay=decay, fused=fused)
-        ]
+        adamw = torch.optim.AdamW(others, rate, settings.betas, weight_decay=decay, fused=fused)
+        optimisers: list[torch.optim.Optimizer] = [adamw]
         if matrices:
             # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.
             group = {"params": matrices, "scale": _MUON_SCALE}

@@ -96,7 +96,7 @@ def _cut(chunk: SequenceChunk, rules: WindowRules, anchored: AnchoredRules) -> R
     about = (sequence_id, recording_id, participant_id, split, "", action, pose_source)
     run = Run(*about, fps, start_time, joints, np.ones(len(joints), dtype=bool), gaze, shown, head)
     goal = transform_points(room_from_canonical, chunk.vectors("goal_location")[0])
-    event = len(run) - 1
+    event = run.n_frames - 1
     last_observed = {"prime": int(prime_frame)}
     last_observed |= {f"event-{lead:g}": event - round(lead * rules.fps) for lead in anchored.leads}
     windows = []

@@ -96,7 +96,7 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
         asked = []
         for row in rows:
             run = runs[row["row"]]
-            part = slice(row["start"], min(row["start"] + length, len(run)))
+            part = slice(row["start"], min(row["start"] + length, run.n_frames))
             frames = {name: getattr(run, name)[part].copy() for name in _FRAMES}
             start_time = run.start_time + part.start / run.fps
             alone = replace(run, run_id=row["window_id"], start_time=start_time, **frames)
@@ -331,9 +331,8 @@ def firewall(subject: PredictorSubject) -> Iterator[Finding]:
         found = f"with NaN in all future frames, joints moved by up to {subjects.metres(moved)}."
         yield failed(f"under {condition.value}, {found}", _NO_FUTURE, change_m=moved)
         return
-    yield passed(
-        f"with NaN in all future frames the same bytes, under {', '.join(each.value for each in subject.working)}."
-    )
+    names = ", ".join(each.value for each in subject.working)
+    yield passed(f"with NaN in all future frames the same bytes, under {names}.")
 
 
 @check("seed", "seed, key and number of the sample decide what is drawn", needs=("determinism",), of_motions=True)

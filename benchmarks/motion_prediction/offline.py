@@ -158,9 +158,8 @@ def read_windows(path: Path) -> tuple[WindowsFileInfo, ObservedBatch]:
     """
     archive = Archive(path, remedy=_REMEDY)
     if METADATA_KEY not in archive.members:
-        raise InputFileError(
-            path, "", expected=f"a file of windows (with an array '{METADATA_KEY}')", found="none", remedy=_REMEDY
-        )
+        expected = f"a file of windows (with an array '{METADATA_KEY}')"
+        raise InputFileError(path, "", expected=expected, found="none", remedy=_REMEDY)
     expected = "what prbench wrote about the file"
     try:
         info = msgspec.json.decode(str(archive.read(METADATA_KEY, largest=1024**2)), type=WindowsFileInfo)

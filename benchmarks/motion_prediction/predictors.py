@@ -153,9 +153,8 @@ class NearestPast:
 
 def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Float[np.ndarray, "batch values"]]:
     """``batch_from_own`` of each window, and its observed frames in the frame of its last pose, flattened."""
-    frames = next(each for each in JOINT_SETS.values() if each.names == batch.joint_names).last_pose_frame(
-        batch.observed_joints[:, -1]
-    )
+    joints = next(each for each in JOINT_SETS.values() if each.names == batch.joint_names)
+    frames = joints.last_pose_frame(batch.observed_joints[:, -1])
     own_from_batch = invert_each(frames)
     features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
     if batch.gaze is not None:

@@ -82,9 +82,6 @@ class Run:
     head_direction: Float[np.ndarray, "n 3"]
     windows: tuple[Window, ...] = ()
 
-    def __len__(self) -> int:
-        return len(self.joints)
-
     @property
     def n_frames(self) -> int:
         """Number of frames."""
@@ -196,7 +193,7 @@ def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[Run]) -> Window
                 raise TableError(f"{folder}: expected captured bodies or estimated ones, found {found}")
             windows.extend(window.row(run, counted["runs"]) for window in run.windows)
             counted["runs"] += 1
-            counted["frames"] += len(run)
+            counted["frames"] += run.n_frames
             counted["has_gaze"] |= bool(run.gaze_valid.any())
             recordings.add(run.recording_id)
             people.add(run.participant_id)

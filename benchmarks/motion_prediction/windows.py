@@ -117,7 +117,7 @@ def sliding_windows(run: table.Run, filled: Filled, rules: WindowRules) -> tuple
         rules: Lengths.
     """
     windows = []
-    for start in window_starts(len(run), rules).tolist():
+    for start in window_starts(run.n_frames, rules).tolist():
         border = start + rules.observed_frames
         exclusion = ""
         if not run.joints_valid[start : start + rules.length].all():

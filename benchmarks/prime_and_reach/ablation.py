@@ -34,6 +34,7 @@ from prbench_benchmarks.prime_and_reach.study.methods import (
     METRIC_COLUMNS,
     measured_row,
     measured_title,
+    part_of,
     published_rows,
 )
 
@@ -185,18 +186,10 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
         blocks = [Block(title=measured_title(table), rows=tuple(measured))]
         blocks.append(Block(title="Not run, or not finished", rows=tuple(lines)))
         notes = [f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp]
-        part = Table(
-            number=number,
-            title=published_table(number).title,
-            dataset=table.dataset,
-            part=part_title(table),
-            columns=_COLUMNS,
-            blocks=(*blocks, *published),
-            # The first stamp stands in the title: one such row already makes a table that says nothing.
-            stamp=next(filter(None, stamps.values()), ""),
-            notes=(*notes, *table_notes(table), *published_table(number).notes),
-        )
-        parts.append(part)
+        notes += [*table_notes(table), *published_table(number).notes]
+        # The first stamp stands in the title: one such row already makes a table that says nothing.
+        about = {"columns": _COLUMNS, "stamp": next(filter(None, stamps.values()), "")}
+        parts.append(part_of(number, table, part_title(table), (*blocks, *published), notes, **about))
     return parts
 
 

@@ -155,9 +155,8 @@ def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, 
     tables = []
     files = []
     if runs:
-        tables = ablation_table(
-            _number(item), request.folder, opt.run_checker(data, workers).check, with_published=True
-        )
+        check = opt.run_checker(data, workers).check
+        tables = ablation_table(_number(item), request.folder, check, with_published=True)
         files = [request.folder / f"{item.replace('-', '_')}{suffix}" for suffix in (".csv", ".tex", ".md")]
     lines = [f"failed: {name}: {reason}" for name, reason in failed.items()]
     return _answer(tables, files, lines=lines, folder=request.folder, runs=runs, failed=failed)

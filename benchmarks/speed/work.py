@@ -5,10 +5,11 @@ The recordings are synthetic.
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import tempfile
-import time
+import timeit
 import tracemalloc
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -44,12 +45,7 @@ _BARE = "import click\n@click.command()\ndef bare():\n    '''Do nothing.'''\nbar
 def timed(work: Callable[[], object], repeats: int) -> float:
     """Shortest duration of some repetitions after a first one that warms up, seconds."""
     work()
-    durations = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        durations.append(time.perf_counter() - start)
-    return min(durations)
+    return min(timeit.repeat(work, gc.enable, repeat=repeats, number=1))  # timeit alone turns garbage collection off
 
 
 def print_rows(title: str, rows: Mapping[str, float]) -> None:
@@ -180,7 +176,5 @@ def time_startup() -> None:
 
 def main() -> None:
     """Time reading, curation, metrics and start-up."""
-    time_reading()
-    time_curation()
-    time_metrics()
-    time_startup()
+    for measure in (time_reading, time_curation, time_metrics, time_startup):
+        measure()

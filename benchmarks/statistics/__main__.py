@@ -186,9 +186,8 @@ def main(sets: int = 2_000) -> int:
         shares = []
         for units in UNITS:
             values = of_place(np.random.default_rng(6).uniform(size=(sets, units)))
-            low, high = clusters.mean_bounds(
-                values, np.ones(units, dtype=int), values.var(axis=1, ddof=1), nonnegative=True
-            )
+            ones = np.ones(units, dtype=int)
+            low, high = clusters.mean_bounds(values, ones, values.var(axis=1, ddof=1), nonnegative=True)
             shares.append(f"{100 * ((low <= 1) & (high >= 1)).mean():.1f}")
         print_row(f"means, {kind}: coverage", shares)
     print("\n" + "\n".join(f"FAILED: {line}" for line in failed or ["nothing"]))

@@ -219,9 +219,8 @@ class Extractor:
     ) -> None:
         self.configuration, self.statistics, self.tokens, self.device = configuration, statistics, tokens, device
         self.digest, self.words_digest = digest, words_digest
-        self.movement, self.motion, self.text = (
-            network.eval().requires_grad_(False).to(device) for network in (movement, motion, text)
-        )
+        frozen = (network.eval().requires_grad_(False).to(device) for network in (movement, motion, text))
+        self.movement, self.motion, self.text = frozen
 
     @property
     def vectorisation(self) -> str:
@@ -250,9 +249,8 @@ class Extractor:
         for start in range(0, len(order), _AT_ONCE):
             rows = order[start : start + _AT_ONCE]
             # Standardised without the contacts, then padded with zeros to the longest.
-            batch = np.zeros(
-                (len(rows), int(snippets[rows].max()) * networks.SNIPPET, networks.MOVEMENT_FEATURES), dtype=np.float32
-            )
+            frames = int(snippets[rows].max()) * networks.SNIPPET
+            batch = np.zeros((len(rows), frames, networks.MOVEMENT_FEATURES), dtype=np.float32)
             for place, row in enumerate(rows):
                 n = snippets[row] * networks.SNIPPET
                 batch[place, :n] = self.statistics.standardise(features[row][:n])[:, : networks.MOVEMENT_FEATURES]

@@ -87,9 +87,8 @@ class _Row:
     def add(self, pairs: metrics.EmbeddedPairs, more: dict[str, float]) -> None:
         """Take in one repetition: what its pairs measure, and other values."""
         ranking = metrics.r_precision(pairs.text, pairs.motion, pairs.captions)
-        measured = dict(zip(metrics.R_PRECISION, ranking.top.tolist())) | {
-            metrics.DISTANCE: metrics.multimodal_distance(pairs.text, pairs.motion)
-        }
+        measured = dict(zip(metrics.R_PRECISION, ranking.top.tolist()))
+        measured[metrics.DISTANCE] = metrics.multimodal_distance(pairs.text, pairs.motion)
         for name, value in (measured | more).items():
             self.values.setdefault(name, []).append(value)
         self.rankings.append(ranking)
@@ -160,9 +159,8 @@ class _Passes:
     def motions(self, pairs: metrics.EmbeddedPairs, reference: np.ndarray, taken: Pass) -> dict[str, float]:
         """FID to recorded motions, and diversity."""
         motion = pairs.motion
-        drawn = metrics.draw_diversity_pairs(
-            len(motion), taken.generator("diversity"), n_pairs=self.request.diversity_pairs
-        )
+        generator = taken.generator("diversity")
+        drawn = metrics.draw_diversity_pairs(len(motion), generator, n_pairs=self.request.diversity_pairs)
         return {metrics.FID: metrics.fid(reference, motion), metrics.DIVERSITY: metrics.diversity(motion, drawn)}
 
     def _prompts(self, taken: Pass, most: int) -> list[Row]:
@@ -222,7 +220,14 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         chosen_condition(request.method, adapter, Condition.TEXT)
         if isinstance(adapter, Trainable) and request.weights is None:
             raise UsageError(f"the method '{request.method}' learns from a table first; give it --weights.")
-    supported = read.clips if adapter is None else _supported(adapter, read.clips, configuration)
+        # The clips of which the method can generate as many frames as they may ask for.
+        declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
+        if declared.max_frames is not None:
+            lengths = np.array([clips_of.longest(clip, configuration) for clip in read.clips])
+            fps = configuration.fps
+            native = native_frames(lengths, fps=fps, native_fps=declared.native_fps or fps)
+            supported = tuple(clip for clip, n in zip(read.clips, native) if n <= declared.max_frames)
+    supported = read.clips
     fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
     # Diversity draws two disjoint sets of so many motions from one pass.
     if fewest <= request.diversity_pairs:
@@ -288,16 +293,6 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
             notes.append(f"{row.source}: {row.unsupported} clips are longer than the method can generate.")
     notes.append("the evaluator is a network fitted to a training split: real motion is no upper bound.")
     return tuple(notes)
-
-
-def _supported(adapter: Adapter, clips: tuple[Row, ...], configuration: EvaluatorConfiguration) -> tuple[Row, ...]:
-    """Return the clips of which the method can generate as many frames as they may ask for."""
-    declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
-    if declared.max_frames is None:
-        return clips
-    lengths = np.array([clips_of.longest(clip, configuration) for clip in clips])
-    native = native_frames(lengths, fps=configuration.fps, native_fps=declared.native_fps or configuration.fps)
-    return tuple(clip for clip, n_frames in zip(clips, native) if n_frames <= declared.max_frames)
 
 
 def generated_features(

@@ -318,9 +318,8 @@ class EvaluatorTask:
             remedy = "With several, run --stage autoencoder, then --stage contrastive with its weights as --init."
             raise UsageError(f"--stage full trains in one process. {remedy}")
         start = read_weights(initial, kind=MOVEMENT_KIND) if initial is not None else None
-        tokens, words_digest = token_vectors(
-            configuration.text, data.train.tables, words=objective.words, path=objective.text_path
-        )
+        sources = {"words": objective.words, "path": objective.text_path}
+        tokens, words_digest = token_vectors(configuration.text, data.train.tables, **sources)
         lines = [f"text vectors {configuration.text} (frozen)"]
         if configuration.text == nets.GLOVE:
             lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]

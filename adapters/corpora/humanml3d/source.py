@@ -13,7 +13,7 @@ from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input, read_text, require
 from prbench.files.storage import file_digest, text_digest
 from prbench.limits import HARMLESS_SIZE, LARGEST_ARRAYS
-from prbench.protocol.manifests import Manifest, load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.sequences.corpus import Annotation, Caption, Clip
 from prbench_adapters.corpora import sources as corpora
@@ -21,89 +21,6 @@ from prbench_adapters.corpora.humanml3d import files as layout
 from prbench_adapters.corpora.humanml3d.files import TextLine, read_joints, read_texts, remark_on
 
 _SAME_CLOCK = {"clock_method": "same", "clock_offset": 0.0, "clock_quality": None, "approximate": False}
-
-
-def clips_of(
-    identity: corpora.RecordingIdentity,
-    joints: Float[np.ndarray, "frames 22 3"],
-    lines: Sequence[TextLine],
-    limits: corpora.ClipLimits,
-    manifest: Manifest,
-) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
-    """Clips of one motion, and what became of every caption.
-
-    Captions of the same part of the motion share a clip; parts are cut at 20 frames a second as the official loader
-    does, ``motion[int(from * 20) : int(to * 20)]``.
-
-    Args:
-        identity: Whose clips they are.
-        joints: Joint positions of the whole motion, metres, Y up.
-        lines: Captions in file order.
-        limits: Lengths of clips.
-        manifest: The dataset's manifest.
-    """
-    clips = []
-    annotations = []
-    # Lines of one span together, whole motions first.
-    spans: dict[tuple[float, float], list[tuple[int, Caption]]] = {}
-    numbered = [(number, *line) for number, line in enumerate(lines, start=1)]
-    for number, caption, start, end in sorted(numbered, key=lambda item: (item[1].kind != layout.WHOLE, item[0])):
-        span = (0.0, len(joints) / layout.RATE) if caption.kind == layout.WHOLE else (start, end)
-        spans.setdefault(span, []).append((number, caption))
-    for (start, end), members in spans.items():
-        kind = members[0][1].kind
-        recording = f"{identity.dataset}/{identity.recording_id}"
-        sequence_id = f"{recording}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}/{manifest.body.pose_source}"
-        captions = tuple(dict.fromkeys(replace(caption, kind=kind) for _, caption in members if caption.text))
-        first = int(start * layout.RATE)
-        available = min(int(end * layout.RATE), len(joints)) - first
-        # The outcome, the number that decided, and the threshold that it was compared with.
-        fate: tuple[str, float | None, float | None] = ("clip", None, None)
-        if not captions:
-            fate = ("no_text", None, None)
-        elif end <= start:
-            fate = ("end_before_start", end - start, 0.0)
-        elif available <= 0 or start < 0.0:
-            fate = ("outside_motion", available / limits.fps, 0.0)
-        elif available < limits.shortest:
-            fate = ("too_short", available / limits.fps, limits.shortest / limits.fps)
-        outcome, value, threshold = fate
-        if outcome == "clip":
-            n_frames = min(available, limits.longest)
-            clip = corpora.cut_clip(
-                joints,
-                first,
-                1,
-                n_frames,
-                fps=limits.fps,
-                start=first / layout.RATE,
-                sequence_id=sequence_id,
-                **vars(identity),
-                kind=kind,
-                captions=captions,
-                text_start=start,
-                text_end=end,
-                # Cut only where a whole frame more was described; less than one is lost by rounding down.
-                cut=end * layout.RATE - first >= n_frames + 1,
-                mirrored=identity.recording_id.startswith(layout.MIRROR_PREFIX),
-                **_SAME_CLOCK,
-                pose_source=manifest.body.pose_source,
-                head_tilt_deg=manifest.body.head_tilt_deg,
-            )
-            outcome = "no_heading" if clip is None else "clip"
-            clips += [] if clip is None else [clip]
-        seen: set[str] = set()
-        for number, caption in members:
-            own = outcome
-            if not caption.text:
-                own = "no_text"
-            elif caption.text in seen:
-                own = "duplicate"
-            seen.add(caption.text)
-            whose = (f"{recording}/{number}", identity.recording_id, sequence_id if own == "clip" else None)
-            decisive = (value, threshold) if own == outcome else (None, None)
-            annotations.append(Annotation(*whose, kind, caption.text, start, end, own, *decisive))
-    return tuple(clips), tuple(annotations)
 
 
 _UNKNOWN_PERSON = "unknown"
@@ -158,8 +75,84 @@ class HumanML3DSource(corpora.CorpusRecording):
             raise InputFileError(path, "", expected="the joints of this motion", found=found, remedy=_MAKE_JOINTS)
         joints = read_joints(self.joints)
         lines = read_texts(self.texts)
-        clips, annotations = clips_of(self.identity, joints, lines, self.limits, load_manifest("humanml3d"))
+        clips, annotations = self._clips(joints, lines)
         return corpora.ReadRecording(clips, annotations, len(joints) / layout.RATE, message=remark_on(joints, lines))
+
+    def _clips(
+        self, joints: Float[np.ndarray, "frames 22 3"], lines: Sequence[TextLine]
+    ) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
+        """Clips of the motion, and what became of every caption.
+
+        Captions of the same part of the motion share a clip; parts are cut at 20 frames a second as the official loader
+        does, ``motion[int(from * 20) : int(to * 20)]``.
+
+        Args:
+            joints: Joint positions of the whole motion, metres, Y up.
+            lines: Captions in file order.
+        """
+        about = load_manifest("humanml3d").body
+        clips = []
+        annotations = []
+        # Lines of one span together, whole motions first.
+        spans: dict[tuple[float, float], list[tuple[int, Caption]]] = {}
+        numbered = [(number, *line) for number, line in enumerate(lines, start=1)]
+        for number, caption, start, end in sorted(numbered, key=lambda item: (item[1].kind != layout.WHOLE, item[0])):
+            span = (0.0, len(joints) / layout.RATE) if caption.kind == layout.WHOLE else (start, end)
+            spans.setdefault(span, []).append((number, caption))
+        for (start, end), members in spans.items():
+            kind = members[0][1].kind
+            recording = f"{self.identity.dataset}/{self.identity.recording_id}"
+            sequence_id = f"{recording}/{kind}/{round(start * 1e6)}-{round(end * 1e6)}/{about.pose_source}"
+            captions = tuple(dict.fromkeys(replace(caption, kind=kind) for _, caption in members if caption.text))
+            first = int(start * layout.RATE)
+            available = min(int(end * layout.RATE), len(joints)) - first
+            # The outcome, the number that decided, and the threshold that it was compared with.
+            fate: tuple[str, float | None, float | None] = ("clip", None, None)
+            if not captions:
+                fate = ("no_text", None, None)
+            elif end <= start:
+                fate = ("end_before_start", end - start, 0.0)
+            elif available <= 0 or start < 0.0:
+                fate = ("outside_motion", available / self.limits.fps, 0.0)
+            elif available < self.limits.shortest:
+                fate = ("too_short", available / self.limits.fps, self.limits.shortest / self.limits.fps)
+            outcome, value, threshold = fate
+            if outcome == "clip":
+                n_frames = min(available, self.limits.longest)
+                clip = corpora.cut_clip(
+                    joints,
+                    first,
+                    1,
+                    n_frames,
+                    fps=self.limits.fps,
+                    start=first / layout.RATE,
+                    sequence_id=sequence_id,
+                    **vars(self.identity),
+                    kind=kind,
+                    captions=captions,
+                    text_start=start,
+                    text_end=end,
+                    # Cut only where a whole frame more was described; less than one is lost by rounding down.
+                    cut=end * layout.RATE - first >= n_frames + 1,
+                    mirrored=self.identity.recording_id.startswith(layout.MIRROR_PREFIX),
+                    **_SAME_CLOCK,
+                    pose_source=about.pose_source,
+                    head_tilt_deg=about.head_tilt_deg,
+                )
+                outcome = "no_heading" if clip is None else "clip"
+                clips += [] if clip is None else [clip]
+            seen: set[str] = set()
+            for number, caption in members:
+                own = outcome
+                if not caption.text:
+                    own = "no_text"
+                elif caption.text in seen:
+                    own = "duplicate"
+                seen.add(caption.text)
+                whose = (f"{recording}/{number}", self.identity.recording_id, sequence_id if own == "clip" else None)
+                decisive = (value, threshold) if own == outcome else (None, None)
+                annotations.append(Annotation(*whose, kind, caption.text, start, end, own, *decisive))
+        return tuple(clips), tuple(annotations)
 
 
 class HumanML3DCorpus(corpora.Corpus):

@@ -30,9 +30,8 @@ CaptionedMotion = tuple[Float[np.ndarray, "n 22 3"], tuple[tuple[str, float, flo
 
 def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
     """Return neighbouring actions two by two: a caption for both together, and one for each part."""
-    rows = sorted(
-        (row for row in motion.narrations if row.kind == "atomic_action"), key=lambda row: (row.start, row.end)
-    )
+    actions = [row for row in motion.narrations if row.kind == "atomic_action"]
+    rows = sorted(actions, key=lambda row: (row.start, row.end))
     stride = round(motion.rate / layout.RATE)
     motions = []
     for number in range(0, len(rows) - 1, 2):

@@ -17,7 +17,7 @@ from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import ReaderOptions, RecordingFiles, require_one_origin
 from prbench.readers.extents import SEVERAL_SENSORS
-from prbench.sequences.corpus import Annotation, Caption, Clip
+from prbench.sequences.corpus import Annotation, Caption
 from prbench_adapters.corpora import sources as corpora
 from prbench_adapters.corpora.nymeria import clock as clocks
 from prbench_adapters.corpora.nymeria import format as nymeria
@@ -30,15 +30,14 @@ from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece, clean_suit, 
 _ROUNDING = 1e-6
 
 
-def clips_of(
+def recording_clips(
     identity: corpora.RecordingIdentity,
     body: CleanSuit,
     narrations: Sequence[Narration],
     offset: ClockOffset | None,
     limits: corpora.ClipLimits,
-    coverage: float,
-) -> tuple[tuple[Clip, ...], tuple[Annotation, ...]]:
-    """Clips of one recording, and what became of every text.
+) -> corpora.ReadRecording:
+    """Clips of one recording, and what became of every text; for files and for recordings that were never written.
 
     Texts of one kind for exactly the same span (several annotators, several answers) share a clip.
 
@@ -48,8 +47,8 @@ def clips_of(
         narrations: Any order.
         offset: The offset from the text's clock to the motion's; None where none was found.
         limits: Lengths of clips.
-        coverage: Smallest share of a span that one piece of the motion must cover.
     """
+    coverage = load_manifest("nymeria").thresholds["smallest_coverage"]  # of a span, by one piece of the motion
     # Narrations by kind and time; the order of rows in the file leaves no trace.
     spans: dict[tuple[str, int, int], list[Narration]] = {}
     for row in narrations:
@@ -111,7 +110,12 @@ def clips_of(
             described = (caption.kind, caption.text, rows[0].start, rows[0].end, decided)
             decisive = (value, threshold) if own == "clip" else (None, None)
             annotations.append(Annotation(*whose, *described, *decisive))
-    return tuple(clips), tuple(annotations)
+    found = (tuple(clips), tuple(annotations), sum(len(piece.joints) / SUIT_RATE for piece in body.pieces))
+    message = "; ".join(body.messages)
+    if offset is None:
+        return corpora.ReadRecording(*found, "none", None, message)
+    measured = (("clock_offset_s", f"{offset.seconds:.6f}"),)
+    return corpora.ReadRecording(*found, offset.method, offset.quality, message, measured)
 
 
 def _placed(
@@ -248,24 +252,6 @@ class NymeriaSource(corpora.CorpusRecording):
             messages.append(why)
         offset, why = clocks.offset_by_starts(narrations, clean, thresholds)
         return offset, [*messages, why]
-
-
-def recording_clips(
-    identity: corpora.RecordingIdentity,
-    body: CleanSuit,
-    narrations: tuple[Narration, ...],
-    offset: ClockOffset | None,
-    limits: corpora.ClipLimits,
-) -> corpora.ReadRecording:
-    """Clips and the fate of every text; used for files and for recordings that were never written."""
-    coverage = load_manifest("nymeria").thresholds["smallest_coverage"]
-    clips, annotations = clips_of(identity, body, narrations, offset, limits, coverage)
-    found = (clips, annotations, sum(len(piece.joints) / SUIT_RATE for piece in body.pieces))
-    message = "; ".join(body.messages)
-    if offset is None:
-        return corpora.ReadRecording(*found, "none", None, message)
-    measured = (("clock_offset_s", f"{offset.seconds:.6f}"),)
-    return corpora.ReadRecording(*found, offset.method, offset.quality, message, measured)
 
 
 class NymeriaCorpus(corpora.Corpus):

@@ -229,9 +229,8 @@ def measured_head_tilt(suit: Suit) -> float | None:
     if suit.tpose is None:
         return None
     tpose = y_up(suit.tpose)
-    left, right, neck, head = (
-        tpose[XSENS_SEGMENTS.index(name)] for name in ("L_UpperLeg", "R_UpperLeg", "Neck", "Head")
-    )
+    segments = ("L_UpperLeg", "R_UpperLeg", "Neck", "Head")
+    left, right, neck, head = (tpose[XSENS_SEGMENTS.index(name)] for name in segments)
     across = left - right
     forward = np.array([-across[2], 0.0, across[0]])  # across x up
     size = float(np.linalg.norm(forward))

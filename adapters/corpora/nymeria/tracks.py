@@ -86,9 +86,8 @@ def joint_rotations(
 def cut(joined: Bool[np.ndarray, " n_but_one"], shortest: float, longest: float) -> Iterator[tuple[int, int]]:
     """Yield first frame and end of each track; a stretch that is too long gives equal ones."""
     for first, stop in stretches(joined, shortest):
-        yield from itertools.pairwise(
-            np.linspace(first, stop, int(-(-(stop - first) // longest)) + 1).astype(int).tolist()
-        )
+        borders = np.linspace(first, stop, int(-(-(stop - first) // longest)) + 1).astype(int)
+        yield from itertools.pairwise(borders.tolist())
 
 
 def measured(
@@ -271,10 +270,8 @@ def build_tracks(
     require_replaceable(out, table.FILE_NAME, kind="table of tracks")
     wanted = CorpusOptions(recordings=recordings, limit=limit)
     # Sequences that are known for bad texts have sound bodies: nothing is left out.
-    found = (
-        replace(each, skip_reason=None) for each in chosen_recordings(CORPUS.find(root, wanted), wanted, where=root)
-    )
-    sources = sorted(found, key=lambda each: f"{each.recording_id}/")
+    found = chosen_recordings(CORPUS.find(root, wanted), wanted, where=root)
+    sources = sorted((replace(each, skip_reason=None) for each in found), key=lambda each: f"{each.recording_id}/")
     with sole_writer(out), parts.working_in_parts(out):
         job = TracksJob(stop_on_error, parts.work_folder(out), devices, fps)
         finished = job.make_all(sources, engine, progress)

@@ -172,6 +172,7 @@ _METRIC = "prime_success"
 WINDOWS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)  # seconds, one curve each
 LARGEST_DISTANCE = 1.0  # metres, end of the axis
 DISTANCE_STEP = 0.025  # metres: 41 points, among them the protocol's 0.25 m
+_DISTANCES = tuple(round(k * DISTANCE_STEP, 6) for k in range(round(LARGEST_DISTANCE / DISTANCE_STEP) + 1))
 _PRINTED_DISTANCES = (0.1, 0.25, 0.5, 1.0)  # metres, columns of the printed table; the CSV has all
 
 
@@ -205,8 +206,6 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     # Recorded motion is scored against other goals there, which a sweep over its own goals does not repeat.
     if run.run.record.control is not None and run.run.record.method.kind == CONTROL:
         raise RunError(f"{run.run.path}: was made with --control; its sweep would be of other goals than its scores.")
-    windows = WINDOWS
-    distances = tuple(round(k * DISTANCE_STEP, 6) for k in range(round(LARGEST_DISTANCE / DISTANCE_STEP) + 1))
     # The sequences of a run that have motions.
     record = run.run.record
     chosen = select(run.table, split=record.split, limit=record.limit)
@@ -214,23 +213,22 @@ def sweep(run: GenuineRun, *, engine: Engine) -> Sweep:
     scored = set(scores["sequence_id"].to_pylist())
     selection = chosen.chosen(np.array([name in scored for name in chosen.sequence_ids]))
     constants = run.protocol.metrics
-    sums = np.zeros((len(windows), len(distances)))
+    sums = np.zeros((len(WINDOWS), len(_DISTANCES)))
     motions = 0
-    swept = partial(_swept, constants=constants, windows=windows, distances=distances)
-    for successes in engine.map(swept, list(_motions(run, selection))):
+    for successes in engine.map(partial(_swept, constants=constants), list(_motions(run, selection))):
         sums += successes.sum(axis=-1)
         motions += successes.shape[-1]
     rates = sums / motions
     # Where both have the same limits, the sweep has to give the stored scores.
-    if constants.prime_window in windows and constants.prime_distance in distances:
-        found = rates[windows.index(constants.prime_window), distances.index(constants.prime_distance)]
+    if constants.prime_window in WINDOWS and constants.prime_distance in _DISTANCES:
+        found = rates[WINDOWS.index(constants.prime_window), _DISTANCES.index(constants.prime_distance)]
         stored = scores["value"].to_numpy()[np.array(scores["metric"].to_pylist()) == _METRIC].mean()
         if abs(stored - found) > 1e-9:
             raise RunError(
                 f"{run.run.path}: expected a Prime Success of {stored:.6f} at the protocol's limits, as its scores"
                 f" say, found {found:.6f}. One of its files was edited. Run the method again."
             )
-    return Sweep(run, windows, distances, rates, len(selection))
+    return Sweep(run, WINDOWS, _DISTANCES, rates, len(selection))
 
 
 def _motions(run: GenuineRun, selection: Selection) -> Iterator[tuple[MotionBatch, dict[str, np.ndarray]]]:
@@ -249,24 +247,20 @@ def _motions(run: GenuineRun, selection: Selection) -> Iterator[tuple[MotionBatc
 
 
 def _swept(
-    work: tuple[MotionBatch, dict[str, np.ndarray]],
-    *,
-    constants: MetricConstants,
-    windows: tuple[float, ...],
-    distances: tuple[float, ...],
+    work: tuple[MotionBatch, dict[str, np.ndarray]], *, constants: MetricConstants
 ) -> Float[np.ndarray, "windows distances n"]:
     """Success of each motion for each pair of limits."""
     motion, judged_by = work
     fps = judged_by["fps"]
-    found = np.zeros((len(windows), len(distances), motion.n_sequences))
-    for i, window in enumerate(windows):
+    found = np.zeros((len(WINDOWS), len(_DISTANCES), motion.n_sequences))
+    for i, window in enumerate(WINDOWS):
         within = msgspec.structs.replace(constants, prime_window=window)
         prime_time = judged_by["prime_time"]
         if window == 0.0:  # no frame lies exactly at the prime time, so the nearest one is meant
             prime_time = np.round(prime_time * fps) / fps
         candidates = candidate_frames(motion.n_frames, prime_time, fps, within)
         track = head_track(motion, candidates, judged_by["goal"], judged_by["tilt"], fps, within)
-        for j, distance in enumerate(distances):
+        for j, distance in enumerate(_DISTANCES):
             limits = msgspec.structs.replace(within, prime_distance=distance)
             found[i, j] = primed(track, candidates, limits, "equation")
     return found

@@ -101,17 +101,17 @@ def poses_table(
             published = published_rows(numbers, lambda each: each.variant.partition(";")[0])
             blocks.append(Block(title=_published_title("S1", "adt", table), rows=published))
         said = "What a model was trained on is declared by the name of its weights: it ends in -egoallo or -mocap."
-        part = Table(
-            number="S1",
-            title=published_table("S1").title,
-            dataset=table.dataset,
-            part=f"{table.dataset}, tested on {tested}",
-            columns=_COLUMNS,
-            blocks=tuple(blocks),
-            notes=(said, *table_notes(table), *_why_not_beside_notes(table)),
-        )
-        parts.append(part)
+        notes = (said, *table_notes(table), *_why_not_beside_notes(table))
+        parts.append(part_of("S1", table, f"{table.dataset}, tested on {tested}", blocks, notes))
     return parts
+
+
+def part_of(
+    number: str, table: DatasetTable, part: str, blocks: Iterable[Block], notes: Iterable[str], **more: Any
+) -> Table:
+    """Return one dataset's part of a table of the study; ``more`` are other fields, or columns of its own."""
+    about = {"title": published_table(number).title, "columns": _COLUMNS, "dataset": table.dataset} | more
+    return Table(number=number, part=part, blocks=tuple(blocks), notes=tuple(notes), **about)
 
 
 def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool) -> Table:
@@ -181,15 +181,7 @@ def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool
         notes += published_table(number).notes
     else:
         notes += _why_not_beside_notes(table)
-    return Table(
-        number=number,
-        title=published_table(number).title,
-        dataset=table.dataset,
-        part=part_title(table),
-        columns=_COLUMNS,
-        blocks=tuple(blocks),
-        notes=tuple(notes),
-    )
+    return part_of(number, table, part_title(table), blocks, notes)
 
 
 def _variant_in(study: StudyRow, number: str) -> str:

@@ -8,10 +8,9 @@ import pytest
 from prbench.geometry.skeleton import Joint, transform_points
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import Narration
-from prbench_adapters.corpora.nymeria.source import clips_of
+from prbench_adapters.corpora.nymeria.source import recording_clips
 from prbench_adapters.corpora.nymeria.suit import CleanSuit, Piece
 from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity, cut_clip
-from tests.adapters.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 
 BELONGING = RecordingIdentity("nymeria", "seq", "p", "train", "p")
@@ -29,7 +28,8 @@ def row(start: float, end: float, text: str = "C waves.", *, annotator: str = ""
 def build(rows, *pieces, offset: float | None = 0.0, limits: ClipLimits = LIMITS):
     body = CleanSuit(pieces or (piece(100.0, 20.0),), "suit", 20.0, (), np.zeros((0, 4)))
     clock = None if offset is None else ClockOffset("file", offset)
-    return clips_of(BELONGING, body, rows, clock, limits, THRESHOLDS["smallest_coverage"])
+    read = recording_clips(BELONGING, body, rows, clock, limits)
+    return read.clips, read.annotations
 
 
 def outcome(rows, *pieces, **more) -> str:

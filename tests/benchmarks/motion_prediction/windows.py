@@ -64,7 +64,7 @@ def walking(
 
 def cut(run: Run) -> Run:
     """The run with its windows."""
-    return replace(run, windows=sliding_windows(run, np.zeros(len(run), dtype=bool), RULES))
+    return replace(run, windows=sliding_windows(run, np.zeros(run.n_frames, dtype=bool), RULES))
 
 
 def info(joint_set: str = SMPL22.name) -> WindowsInfo:
