@@ -284,6 +284,5 @@ def _require_entry(path: Path, metadata: Mapping[str, str], key: str, expected: 
 
 
 def _damaged(path: Path, found: str) -> InputFileError:
-    return InputFileError(
-        path, "", expected="a safetensors file", found=found, remedy="It may be truncated; copy or train it again."
-    )
+    remedy = "It may be truncated; copy or train it again."
+    return InputFileError(path, "", expected="a safetensors file", found=found, remedy=remedy)

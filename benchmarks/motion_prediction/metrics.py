@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -188,7 +189,5 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
 
 def _info(id: str, title: str, *, unit: str = "m", better: bool | None = _LOWER, **more: bool) -> MetricInfo:
     """Return a score that compares with what happened; its position is set with those of all others."""
-    more = {"main": False, **more}
-    return MetricInfo(
-        id=id, title=title, unit=unit, higher_is_better=better, position=0, compares_with_recorded=True, **more
-    )
+    about: Any = {"main": False, "position": 0, "compares_with_recorded": True, **more}
+    return MetricInfo(id=id, title=title, unit=unit, higher_is_better=better, **about)

@@ -322,9 +322,8 @@ def _laid_out(
     # Methods from the smallest ADE on, each compared with the next one; references are no methods.
     methods = [row for row in rows if row.name in measured and row.method not in scoring.references()]
     methods.sort(key=lambda row: measured[row.name]["ade"].mean)
-    steps = {
-        worse: paired(scores[worse.name], scores[better.name], "ade") for better, worse in itertools.pairwise(methods)
-    }
+    pairs = itertools.pairwise(methods)
+    steps = {worse: paired(scores[worse.name], scores[better.name], "ade") for better, worse in pairs}
     compared = compare({row.name: pair for row, pair in steps.items() if pair is not None})
     if steps:
         said = [methods[0].label]

@@ -82,6 +82,9 @@ class Run:
     head_direction: Float[np.ndarray, "n 3"]
     windows: tuple[Window, ...] = ()
 
+    def __len__(self) -> int:
+        return len(self.joints)
+
     @property
     def n_frames(self) -> int:
         """Number of frames."""

@@ -215,6 +215,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     configuration = evaluator.configuration
     read = clips_of.EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
     adapter = None
+    supported = read.clips
     if request.method is not None:
         adapter = load_adapter(request.method, request.weights, request.options, request.device)
         chosen_condition(request.method, adapter, Condition.TEXT)
@@ -227,7 +228,6 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
             fps = configuration.fps
             native = native_frames(lengths, fps=fps, native_fps=declared.native_fps or fps)
             supported = tuple(clip for clip, n in zip(read.clips, native) if n <= declared.max_frames)
-    supported = read.clips
     fewest = min(len(supported), request.prompts) if adapter else len(read.clips)
     # Diversity draws two disjoint sets of so many motions from one pass.
     if fewest <= request.diversity_pairs:

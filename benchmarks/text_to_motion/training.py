@@ -182,15 +182,14 @@ class EvaluatorTraining(TrainingModule):
         Raises:
             TableError: if motions are too short, or a batch has no second motion to contrast with.
         """
-        found = self.reconstruct(batch, step) if self.reconstructs(step) else self.contrast(batch, step)
+        # Validation, a step below 0, judges the final result.
+        first = self.stage == "full" and 0 <= step < self.objective.autoencoder_batches
+        step_of = self.reconstruct if first or self.stage == "autoencoder" else self.contrast
+        found = step_of(batch, step)
         if self.stage != "full":
             return found
         absent = found["loss"].new_zeros(())
         return {name: found.get(name, absent) for name in ("loss", "reconstruction", "positive", "negative", "ranked")}
-
-    def reconstructs(self, step: int) -> bool:
-        """Return True if a step trains the autoencoder; validation (a step below 0) judges the final result."""
-        return self.stage == "autoencoder" or (self.stage == "full" and 0 <= step < self.objective.autoencoder_batches)
 
     def reconstruct(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
         """Short clips of every motion through the autoencoder."""

@@ -27,11 +27,9 @@ def table_one(tables: Sequence[SequenceTable]) -> Table:
     measured = []
     for table in tables:
         each = table_statistics(table)
-        about: dict[str, Any] = {
-            "dataset": each.dataset,
-            "recordings": len(set(table.scalars()["recording_id"].to_pylist())),
-            "origin": origin_of(synthetic=table.info.synthetic),
-        }
+        recordings = len(set(table.scalars()["recording_id"].to_pylist()))
+        about: dict[str, Any] = {"dataset": each.dataset, "recordings": recordings}
+        about["origin"] = origin_of(synthetic=table.info.synthetic)
         cells = [Cell(metric="n_sequences", variant="total", value=float(each.sequences), **about)]
         for name, unit in QUANTITIES.items():
             spread = each.spread(name) if each.sequences else None
