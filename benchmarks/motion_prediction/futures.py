@@ -212,14 +212,8 @@ def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> str:
     rows = [(window, fan) for window in windows for fan in window.motions]
     height = 1.55 * len(rows) + 0.7
     figure = figures.new_figure(7.0, height)
-    grid = {
-        "left": 0.005,
-        "right": 0.992,
-        "top": 1 - 0.4 / height,
-        "bottom": 0.5 / height,
-        "wspace": 0.2,
-        "hspace": 0.4,
-    }
+    grid = {"left": 0.005, "right": 0.992, "top": 1 - 0.4 / height, "bottom": 0.5 / height}
+    grid |= {"wspace": 0.2, "hspace": 0.4}
     panels = figure.subplots(len(rows), 3, squeeze=False, width_ratios=(3.4, 1.2, 1.2), gridspec_kw=grid)
     for (window, fan), (bodies, above, errors) in zip(rows, panels, strict=True):
         _draw_bodies(bodies, window, fan)
