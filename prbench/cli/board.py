@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from prbench.board.verifying import Verification
 
 
-@command(
-    "submit",
-    example="prbench leaderboard submit runs/mine --out mine.prbench.zip --name Mine --author 'A. B.' --trained-on adt",
-    report="prbench.board.submission:Submission",
-)
+_SUBMIT = "prbench leaderboard submit runs/mine --out mine.prbench.zip --name Mine --author 'A. B.' --trained-on adt"
+_TRAINED_ON = "What the methods learned from: `none`; a dataset with a split (default train), `all`, or participants"
+_TRAINED_ON += " separated by commas, repeatable; or a TOML file (docs/leaderboard.md)."
+
+
+@command("submit", example=_SUBMIT, report="prbench.board.submission:Submission")
 @click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
 @opt.out_file_option("Write the submission to this file.", required=True)
 @click.option("--name", required=True, help="Name of the submission, as boards show it.")
@@ -35,13 +36,7 @@ if TYPE_CHECKING:
 @click.option("--url", help="Page of the method.")
 @click.option("--paper", help="Address of the paper.")
 @click.option("--code", help="Address of the code.")
-@click.option(
-    "--trained-on",
-    multiple=True,
-    metavar="DATASET[:DETAIL]",
-    help="What the methods learned from: `none`; a dataset with a split (default train), `all`, or participants"
-    " separated by commas, repeatable; or a TOML file (docs/leaderboard.md).",
-)
+@click.option("--trained-on", multiple=True, metavar="DATASET[:DETAIL]", help=_TRAINED_ON)
 @opt.permission_option
 @opt.tables_option
 @opt.workers_option()
@@ -62,11 +57,10 @@ def submit(runs: tuple[Path, ...], out: Path, data: tuple[Path, ...], workers: i
     return Answer(submission, lambda: print(text))
 
 
-@command(
-    "verify",
-    example="prbench leaderboard verify mine.prbench.zip --data tables",
-    report="prbench.board.verifying:Verification",
-)
+_VERIFY = "prbench leaderboard verify mine.prbench.zip --data tables"
+
+
+@command("verify", example=_VERIFY, report="prbench.board.verifying:Verification")
 @click.argument("file", type=opt.PATH)
 @opt.data_option(required=True, help="Your own tables of the datasets, or a folder of such.")
 @opt.workers_option()
@@ -111,11 +105,10 @@ _DATE = click.option(
 )
 
 
-@command(
-    "init",
-    example="prbench leaderboard init board --title 'Reach 2026' --contact reach@example.org --data tables",
-    report="prbench.board.folder:BoardInfo",
-)
+_INIT = "prbench leaderboard init board --title 'Reach 2026' --contact reach@example.org --data tables"
+
+
+@command("init", example=_INIT, report="prbench.board.folder:BoardInfo")
 @click.argument("board", type=opt.LOCAL_PATH, metavar="DIR")
 @click.option("--title", default="Leaderboard", help="Title of the board.")
 @click.option("--url", default="", help="Where it is going to be read.")
@@ -138,11 +131,10 @@ def init(board: Path, data: tuple[Path, ...], benchmark: str | None, **about: An
     return Answer(info, lambda: print(f"board: {board}, of {', '.join(each.dataset for each in info.datasets)}"))
 
 
-@command(
-    "add",
-    example="prbench leaderboard add board mine.prbench.zip --data tables",
-    report="prbench.board.folder:HistoryEntry",
-)
+_ADD = "prbench leaderboard add board mine.prbench.zip --data tables"
+
+
+@command("add", example=_ADD, report="prbench.board.folder:HistoryEntry")
 @_BOARD
 @click.argument("file", type=opt.PATH)
 @opt.data_option(required=False, help="Your own tables; the embedded ones need not be named.")
@@ -159,11 +151,10 @@ def add(board: Path, file: Path, data: tuple[Path, ...], workers: int, **given: 
     return Answer(entry, lambda: print(text))
 
 
-@command(
-    "withdraw",
-    example="prbench leaderboard withdraw board mine-0a1b2c3d4e --reason 'trained on test recordings'",
-    report="prbench.board.folder:HistoryEntry",
-)
+_WITHDRAW = "prbench leaderboard withdraw board mine-0a1b2c3d4e --reason 'trained on test recordings'"
+
+
+@command("withdraw", example=_WITHDRAW, report="prbench.board.folder:HistoryEntry")
 @_BOARD
 @click.argument("name", metavar="ID|NAME")
 @click.option("--reason", required=True, help="Why; stays in the history and on the page.")

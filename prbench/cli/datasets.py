@@ -102,9 +102,10 @@ def new(*, name: str, out: Path | None) -> Answer:
     return scaffold_answer(new_dataset(name, out))
 
 
-@command(
-    "check", example="prbench datasets check adt --root ADT", report="prbench.checking.conformance.findings:Report"
-)
+_CHECK = "prbench datasets check adt --root ADT"
+
+
+@command("check", example=_CHECK, report="prbench.checking.conformance.findings:Report")
 @click.argument("name", required=False)
 @opt.root_option("A copy of it, of two recordings or more.", required=False)
 @opt.number_option("--max-recordings", "Read at most N recordings, the first that are found (default 3).")

@@ -10,16 +10,13 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress
 
+_EXAMPLE = "prbench export-motion runs/static --data tables/adt --sequence Mug_2/pick --format bvh --out mug.bvh"
+_FORMAT = "The format (docs/exporting.md)."
 
-@command(
-    "export-motion",
-    example="prbench export-motion runs/static --data tables/adt --sequence Mug_2/pick --format bvh --out mug.bvh",
-    report="prbench.viewing.exporting.export:ExportReport",
-)
+
+@command("export-motion", example=_EXAMPLE, report="prbench.viewing.exporting.export:ExportReport")
 @click.argument("source", type=opt.PATH, metavar="RUN|TABLE")
-@opt.choice_option(
-    "--format", ["bvh", "glb", "npz", "smpl", "rrd", "mp4"], "The format (docs/exporting.md).", required=True
-)
+@opt.choice_option("--format", ["bvh", "glb", "npz", "smpl", "rrd", "mp4"], _FORMAT, required=True)
 @opt.out_file_option("The file; a folder where there are several.", required=True, metavar="FILE|DIR")
 @opt.data_option(required=False, help="The table(s) of the run; not needed for the embedded synthetic datasets.")
 @opt.sequence_option("Export this sequence")

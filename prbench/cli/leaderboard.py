@@ -74,11 +74,10 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, training: tupl
     return Answer(as_board(board), lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
 
 
-@command(
-    "compare",
-    example="prbench leaderboard compare runs/static runs/scripted",
-    report="prbench.board.comparison:RunComparison",
-)
+_COMPARE = "prbench leaderboard compare runs/static runs/scripted"
+
+
+@command("compare", example=_COMPARE, report="prbench.board.comparison:RunComparison")
 @click.argument("first", type=opt.PATH, metavar="RUN")
 @click.argument("second", type=opt.PATH, metavar="RUN")
 @opt.tables_option
@@ -128,6 +127,9 @@ _SEQUENCES = 48
 _EVALUATIONS = 480
 
 
+_SEARCH = "Search for motions that earn more than people, in every column or in one, such as mpjpe."
+
+
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=["prbench.board.audit:TableAudit"])
 @click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN]...")
 @opt.data_option(required=False, help="Built dataset folder(s); without it the five embedded synthetic ones are used.")
@@ -135,13 +137,7 @@ _EVALUATIONS = 480
 @opt.limit_option(f"{_SEQUENCES}; {opt.FIRST_RUN_SEQUENCES} without --data")
 @opt.out_folder_option("Keep the run folders in this one (default: they are thrown away).")
 @opt.workers_option()
-@click.option(
-    "--search",
-    is_flag=False,
-    flag_value="all",
-    metavar="[COLUMN]",
-    help="Search for motions that earn more than people, in every column or in one, such as mpjpe.",
-)
+@click.option("--search", is_flag=False, flag_value="all", metavar="[COLUMN]", help=_SEARCH)
 @opt.number_option("--evaluations", f"With --search: motions tried for each column (default {_EVALUATIONS}).")
 @opt.seed_option("of --search", default=None)
 def audit(runs: tuple[Path, ...], data: tuple[Path, ...], out: Path | None, search: str | None, **given: Any) -> Answer:

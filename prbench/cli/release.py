@@ -13,22 +13,17 @@ from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table, print_tables
 
+_IMPORT_RELEASE = "prbench import-release /data/PR --out tables/released"
+_FIELD_MAP = "Which field of target_information.json means what, for example goal=centre; repeatable. An import that"
+_FIELD_MAP += " needs it shows the fields and the words to add."
 
-@command(
-    "import-release",
-    example="prbench import-release /data/PR --out tables/released",
-    report="prbench.release.report:ImportReleaseReport",
-)
+
+@command("import-release", example=_IMPORT_RELEASE, report="prbench.release.report:ImportReleaseReport")
 @click.argument("root", type=opt.PATH)
 @opt.out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
 @click.option("--dataset", metavar="NAME", help="Only this dataset, for example hd-epic.")
 @click.option("--fps", type=opt.RATE, metavar="N", help="Frames a second, where the files do not tell.")
-@opt.pairs_option(
-    "--field-map",
-    "Which field of target_information.json means what, for example goal=centre; repeatable. An import that needs"
-    " it shows the fields and the words to add.",
-    metavar="CANONICAL=THEIRS",
-)
+@opt.pairs_option("--field-map", _FIELD_MAP, metavar="CANONICAL=THEIRS")
 @opt.on_error_option(what="sequences", them="them")
 @opt.replace_option()
 def import_release(*, root: Path, out: Path, dataset: str | None, fps: float | None, **given: Any) -> Answer:
@@ -72,17 +67,15 @@ def import_release(*, root: Path, out: Path, dataset: str | None, fps: float | N
     return Answer(report, show, 0 if report.complete else NOT_EVERYTHING)
 
 
-@command(
-    "export-release",
-    example="prbench export-release --as-published --out release",
-    report="prbench.release.report:ExportReleaseReport",
-)
+_EXPORT_RELEASE = "prbench export-release --as-published --out release"
+_AS_PUBLISHED = "Only what the authors' page names: goal, prompt, subset and primed frame, without action, hand,"
+_AS_PUBLISHED += " recording …."
+
+
+@command("export-release", example=_EXPORT_RELEASE, report="prbench.release.report:ExportReleaseReport")
 @click.argument("data", type=opt.PATH, nargs=-1, metavar="[DIR]...")
 @opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
-@opt.flag(
-    "--as-published",
-    "Only what the authors' page names: goal, prompt, subset and primed frame, without action, hand, recording ….",
-)
+@opt.flag("--as-published", _AS_PUBLISHED)
 @opt.permission_option
 def export_release(*, data: tuple[Path, ...], out: Path, as_published: bool, permission: tuple[str, ...]) -> Answer:
     """Write tables in the layout of the authors' release.

@@ -47,6 +47,28 @@ _FIRST_RUN_WORKERS = 2
 PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
 
 
+_METHOD = "An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
+_METHOD += " ground-truth, scripted, nearest-neighbour, stare, … (docs/audit.md); all: the rows of the study's"
+_METHOD += " Table 2."
+_CONDITION = f"What the method is given (default: the only condition that it takes): {opt.conditions_by_benchmark()};"
+_CONDITION += " all: every row that Table 2 has of it."
+_CONFIG = "An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
+_CONFIG += " folder: the run is repeated."
+_SPLIT = "Split of the table (default test); published: that of a study of motion prediction."
+_FOLDS = "Test on people whom the method did not learn from: participant: on everybody in turn, merged into one run;"
+_FOLDS += " or on one fold of N, such as 2/6. {fold} in --weights stands for K."
+_PROTOCOL = "the numbers of the metrics, stamped into the run; the table must have been built by the same rules."
+_SAMPLES = f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')})."
+_ISOLATE = "Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
+_ISOLATE += " the file system is withheld too."
+_REQUIRE_FENCE = "--isolate, and refuse to run where neither bubblewrap nor a container withholds the file system."
+_SIGN = "Sign the finished run with this secret key of minisign (docs/firewall.md#signed-runs); its password is asked"
+_SIGN += f" for, or taken from {PASSWORD_VARIABLE}."
+_TIMEOUT = "For each batch, of a program or with --isolate (default 600); a program that is late is stopped."
+_ENGINE = "Processes to use (default 1; without --data and with all: 2; with --engine ray all processors); changes"
+_ENGINE += " no result."
+
+
 @command(
     "run",
     example="prbench run --method static --condition none --data tables/adt --out runs/static",
@@ -58,85 +80,30 @@ PASSWORD_VARIABLE = "PRBENCH_SIGN_PASSWORD"
     ),
 )
 @opt.benchmark_option
-@click.option(
-    "--method",
-    metavar="NAME|cmd:…|FILE",
-    shell_complete=opt.complete_method,
-    help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
-    " ground-truth, scripted, nearest-neighbour, stare, … (docs/audit.md); all: the rows of the study's Table 2.",
-)
-@click.option(
-    "--condition",
-    type=click.Choice([*opt.ALL_CONDITIONS, ALL]),
-    metavar="CONDITION",
-    help=f"What the method is given (default: the only condition that it takes): {opt.conditions_by_benchmark()}; all:"
-    " every row that Table 2 has of it.",
-)
-@opt.path_option(
-    "--config",
-    "An experiment's TOML file (docs/experiments.md); --data, --out and the like replace what it says. Or a run"
-    " folder: the run is repeated.",
-)
+@click.option("--method", metavar="NAME|cmd:…|FILE", shell_complete=opt.complete_method, help=_METHOD)
+@click.option("--condition", type=click.Choice([*opt.ALL_CONDITIONS, ALL]), metavar="CONDITION", help=_CONDITION)
+@opt.path_option("--config", _CONFIG)
 @opt.flag("--show-config", "Print the experiment that the command line means, and stop.")
 @opt.data_option(required=False, help="Built dataset folder(s), or a folder of such (default: small synthetic ones).")
 @opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@opt.split_option(
-    help="Split of the table (default test); published: that of a study of motion prediction.", more=(opt.PUBLISHED,)
-)
-@click.option(
-    "--folds",
-    "--fold",
-    "fold",
-    metavar="participant|K/N",
-    help="Test on people whom the method did not learn from: participant: on everybody in turn, merged into one run;"
-    " or on one fold of N, such as 2/6. {fold} in --weights stands for K.",
-)
+@opt.split_option(help=_SPLIT, more=(opt.PUBLISHED,))
+@click.option("--folds", "--fold", "fold", metavar="participant|K/N", help=_FOLDS)
 @opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: 5 of each dataset")
 @opt.sequence_option("Run this one only")
-@click.option(
-    "--view",
-    type=opt.OUT_FILE,
-    metavar="FILE",
-    help="Show the motions: .html, .png, .svg, .pdf or .mp4.",
-)
+@click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions: .html, .png, .svg, .pdf or .mp4.")
 @opt.flag("--with-controls", "With all: the cheats of docs/audit.md and nearest-neighbour, too.")
-@opt.protocol_option(
-    "the numbers of the metrics, stamped into the run; the table must have been built by the same rules."
-)
+@opt.protocol_option(_PROTOCOL)
 @opt.permission_option
 @opt.method_settings
 @opt.control_option("Give every sequence another one's goal.")
 @opt.seed_option("of the run")
-@opt.number_option(
-    "--samples", f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')})."
-)
+@opt.number_option("--samples", _SAMPLES)
 @opt.number_option("--batch-size", f"Cases a batch (default {opt.usual_number('batch_size')}).")
-@opt.flag(
-    "--isolate",
-    "Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
-    " the file system is withheld too.",
-)
-@opt.flag(
-    "--require-fence",
-    "--isolate, and refuse to run where neither bubblewrap nor a container withholds the file system.",
-)
-@click.option(
-    "--sign",
-    type=opt.LOCAL_PATH,
-    metavar="KEY",
-    help="Sign the finished run with this secret key of minisign (docs/firewall.md#signed-runs); its password is asked"
-    f" for, or taken from {PASSWORD_VARIABLE}.",
-)
-@click.option(
-    "--timeout",
-    type=opt.SECONDS,
-    metavar="SECONDS",
-    help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
-)
-@opt.engine_options(
-    help="Processes to use (default 1; without --data and with all: 2; with --engine ray all processors); changes no"
-    " result."
-)
+@opt.flag("--isolate", _ISOLATE)
+@opt.flag("--require-fence", _REQUIRE_FENCE)
+@click.option("--sign", type=opt.LOCAL_PATH, metavar="KEY", help=_SIGN)
+@click.option("--timeout", type=opt.SECONDS, metavar="SECONDS", help=_TIMEOUT)
+@opt.engine_options(help=_ENGINE)
 @opt.shard_option("the batches")
 @opt.scores_options
 def run(

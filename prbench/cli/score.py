@@ -42,18 +42,15 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
     sequences: list[SequenceScores] = []
 
 
-@command(
-    "score",
-    example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
-    report=[ScoredMotions],
-)
+_SCORE = "prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine"
+_CONDITIONS = "The file of `prbench export-conditions` that the motions were made from; says seed, split, limit,"
+_CONDITIONS += " samples and condition, and is checked."
+
+
+@command("score", example=_SCORE, report=[ScoredMotions])
 @click.argument("predictions", type=opt.PATH)
 @opt.data_option(required=True)
-@opt.path_option(
-    "--conditions",
-    "The file of `prbench export-conditions` that the motions were made from; says seed, split, limit, samples and"
-    " condition, and is checked.",
-)
+@opt.path_option("--conditions", _CONDITIONS)
 @click.option("--name", help="Name of the method, for summaries and leaderboards (default: that of the file).")
 @opt.split_option(None, help="Split of the table (default: that of the run, else test).")
 @opt.fold_option
@@ -164,35 +161,24 @@ def score(
     return Answer(made, show_scores, summaries.exit_code_of([each.scores for each in made]))
 
 
-@command(
-    "export-conditions",
-    example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-    report="prbench.harness.offline:ExportReport",
-)
+_EXPORT_CONDITIONS = "prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz"
+_CONDITION = f"What the method is given: {opt.conditions_by_benchmark()}."
+_SAMPLES = f"Answers to each case (default {opt.usual_number('samples')})."
+_NATIVE_FPS = "Ask for motions at F frames per second; scoring resamples them to the table's rate."
+
+
+@command("export-conditions", example=_EXPORT_CONDITIONS, report="prbench.harness.offline:ExportReport")
 @opt.data_option(required=True)
 @opt.benchmark_option
-@click.option(
-    "--condition",
-    type=click.Choice(opt.ALL_CONDITIONS),
-    metavar="CONDITION",
-    required=True,
-    help=f"What the method is given: {opt.conditions_by_benchmark()}.",
-)
+@click.option("--condition", type=click.Choice(opt.ALL_CONDITIONS), metavar="CONDITION", required=True, help=_CONDITION)
 @opt.out_file_option(".npz", required=True)
 @opt.seed_option("behind opaque ids and noise seeds")
-@click.option(
-    "--samples", type=opt.POSITIVE, metavar="K", help=f"Answers to each case (default {opt.usual_number('samples')})."
-)
+@click.option("--samples", type=opt.POSITIVE, metavar="K", help=_SAMPLES)
 @opt.split_option()
 @opt.fold_option
 @opt.limit_option()
 @opt.number_option("--max-frames", "Leave out sequences of more than N frames; scoring counts them as unsupported.")
-@click.option(
-    "--native-fps",
-    type=float,
-    metavar="F",
-    help="Ask for motions at F frames per second; scoring resamples them to the table's rate.",
-)
+@click.option("--native-fps", type=float, metavar="F", help=_NATIVE_FPS)
 @opt.control_option("Give every sequence another one's goal; the file does not tell.")
 @opt.permission_option
 def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: str | None, **given: Any) -> Answer:
@@ -234,19 +220,15 @@ def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: st
     return Answer(report, show)
 
 
-@command(
-    "merge",
-    example="prbench merge shards/adt-* --out tables/adt",
-    report={"of tables": BuildsReport, "of runs": summaries.RunAnswer},
-    resumes=True,
-)
+_MERGE = "prbench merge shards/adt-* --out tables/adt"
+_DATA = "Tables of a run, where they no longer lie where its shards found them; of runs on folds, the tables on which"
+_DATA += " their scores are checked."
+
+
+@command("merge", example=_MERGE, report={"of tables": BuildsReport, "of runs": summaries.RunAnswer}, resumes=True)
 @click.argument("parts", type=opt.PATH, nargs=-1, required=True, metavar="DIR...")
 @opt.out_folder_option("Folder of the table, corpus, windows or run.", required=True)
-@opt.data_option(
-    required=False,
-    help="Tables of a run, where they no longer lie where its shards found them; of runs on folds, the tables on which"
-    " their scores are checked.",
-)
+@opt.data_option(required=False, help=_DATA)
 @opt.replace_option("table or corpus")
 @opt.workers_option(help="Processes that score a run (default 1); changes no result.")
 @opt.scores_options

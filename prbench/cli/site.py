@@ -11,22 +11,16 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress
 from prbench.errors import UsageError
 
+_EXAMPLE = "prbench leaderboard site runs/* --data tables/adt --out site"
+_MOTIONS = "Motions that can be looked at: of each dataset the same N sequences of every run, and each run's N worst"
+_MOTIONS += " failures (default 4); or all, or none."
 
-@command(
-    "site",
-    example="prbench leaderboard site runs/* --data tables/adt --out site",
-    report="prbench.board.site:SiteReport",
-)
+
+@command("site", example=_EXAMPLE, report="prbench.board.site:SiteReport")
 @click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="BOARD|RUN...")
 @opt.out_folder_option("Write the site to this folder; an earlier site there is replaced.", required=True)
 @opt.option("--title", "Title of the site (default: the board's, or Leaderboard).", metavar="TEXT")
-@opt.option(
-    "--motions",
-    "Motions that can be looked at: of each dataset the same N sequences of every run, and each run's N worst failures"
-    " (default 4); or all, or none.",
-    default="4",
-    metavar="N|all|none",
-)
+@opt.option("--motions", _MOTIONS, default="4", metavar="N|all|none")
 @opt.permission_option
 @opt.tables_option
 @opt.workers_option()

@@ -175,11 +175,10 @@ def explain(
     return Answer(report, show)
 
 
-@command(
-    "review",
-    example="prbench review tables/adt --root /data/ADT --out review.html",
-    report="prbench.viewing.review:Review",
-)
+_REVIEW = "prbench review tables/adt --root /data/ADT --out review.html"
+
+
+@command("review", example=_REVIEW, report="prbench.viewing.review:Review")
 @click.argument("data", type=opt.PATH, metavar="TABLE")
 @opt.root_option("The recordings that the table was built from.")
 @opt.out_file_option("The page (.html).", required=True)
@@ -218,11 +217,10 @@ def review(
 SHOWN = 40
 
 
-@command(
-    "diff",
-    example="prbench diff tables/adt tables/adt-wrist --out changes.json",
-    report="prbench.curation.differences:Difference",
-)
+_DIFF = "prbench diff tables/adt tables/adt-wrist --out changes.json"
+
+
+@command("diff", example=_DIFF, report="prbench.curation.differences:Difference")
 @click.argument("first", type=opt.PATH, metavar="BUILD_A")
 @click.argument("second", type=opt.PATH, metavar="BUILD_B")
 def diff(first: Path, second: Path) -> Answer:
