@@ -126,10 +126,8 @@ class Checkpoint:
 
     def misfit(self, name: str, expected: str, found: str) -> InputFileError:
         """Return an error about one tensor of this file."""
-        remedy = (
-            "Give the motion network's file as --motion and the trajectory network's as --trajectory, both as GMD was"
-            " released (absolute root, U-Net with adaptive group normalisation)."
-        )
+        remedy = "Give the motion network's file as --motion and the trajectory network's as --trajectory,"
+        remedy += " both as GMD was released (absolute root, U-Net with adaptive group normalisation)."
         return InputFileError(self.path, f"'{name}'", expected=expected, found=found, remedy=remedy)
 
 

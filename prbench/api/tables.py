@@ -511,10 +511,8 @@ class Table:
 
     def _repr_html_(self) -> str:
         counts = self.info.counts
-        title = (
-            f"{self.info.title}: {len(self)} sequences of {counts.recordings_read} recordings,"
-            f" from {counts.events} candidate events"
-        )
+        title = f"{self.info.title}:"
+        title += f" {len(self)} sequences of {counts.recordings_read} recordings, from {counts.events} candidate events"
         remarks = [f"licence: {self.info.licence}", f"folder: {self.folder}"]
         if not len(self):
             remarks.insert(0, why_no_sequences(self.info))

@@ -293,17 +293,13 @@ def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
 
 
 def _legend(table: DatasetTable) -> Iterable[str]:
-    yield (
-        "Cost as the harness measured it on the machine of each run, batched as it was; CPU: of all threads, whatever"
-        " else the machine did; memory of the device, else of the process; passes as the method declares them. A dash:"
-        " not measured."
-    )
+    sentence = "Cost as the harness measured it on the machine of each run, batched as it was; CPU: of all threads,"
+    sentence += " whatever else the machine did; memory of the device, else of the process; passes as the method"
+    yield f"{sentence} declares them. A dash: not measured."
     if table.earlier_version is not None:
         present = table.benchmark.present_rules.version
-        yield (
-            f"Scored under version {table.earlier_version} of the protocol; version {present} is the"
-            " present one, and no number of the two is comparable. Run the methods again to compare them."
-        )
+        sentence = f"Scored under version {table.earlier_version} of the protocol; version {present} is the present"
+        yield f"{sentence} one, and no number of the two is comparable. Run the methods again to compare them."
     yield from table_notes(table)
     # The metrics of each condition in which the data separate no two methods, and the order of the others.
     for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
@@ -354,10 +350,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
         yield f"{_FEW} few recordings (below ten): the interval says little."
     if table.of:
-        yield (
-            f"Sequences of {table.of} that are longer than a method can generate are left out for all:"
-            f" {', '.join(table.shortest)}."
-        )
+        sentence = f"Sequences of {table.of} that are longer than a method can generate are left out for all:"
+        yield f"{sentence} {', '.join(table.shortest)}."
     if table.protocol:
         yield f"Scored under a protocol of the user's own, {table.protocol}: no number here is the study's."
     if table.sequences < FEWEST_RANKED:
@@ -377,10 +371,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
         if row.entry.summary.own_first_frame:
             yield f"{row.entry.method} {row.entry.summary.own_first_frame} (docs/specification/metrics.md#plausible)."
         if row.entry.summary.unsupported:
-            yield (
-                f"{row.entry.method}: {row.entry.summary.unsupported} sequences are longer than it can generate and"
-                " were left out; not ranked."
-            )
+            sentence = f"{row.entry.method}: {row.entry.summary.unsupported} sequences are longer than it can generate"
+            yield f"{sentence} and were left out; not ranked."
     for reason in dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified):
         yield f"Unverified: scores that were not held against the motions, because {reason}."
     for entry in (row.entry for row in table.rows if row.entry.unverified_cost):
@@ -401,11 +393,9 @@ def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:
         words |= {"method": _words(row.method, row.symbols), "kind": row.origin, "missing": ", ".join(row.missing)}
         words |= {"variant": note_of(row.variant, "unverified" if row.unverified else "")}
         rows.append(Row(text=words, cells=cells))
-    legend = (
-        "Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
-        " number of methods of its condition that are better on every dataset by a supported difference; none for"
-        " methods without a dataset."
-    )
+    legend = "Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
+    legend += " number of methods of its condition that are better on every dataset by a supported difference; none for"
+    legend += " methods without a dataset."
     columns = _columns(benchmark, Column(key="missing", title="Missing", text=True))
     notes = (legend, ON_SYNTHETIC_DATA) if macro.synthetic else (legend,)
     return Table(title=title, columns=columns, blocks=(Block(rows=tuple(rows)),), notes=notes)

@@ -400,11 +400,9 @@ def undecided(
         else:
             texts.append(f"{info.title} {info.scale * detectable:.0f} points")
     if texts:
-        yield (
-            "Smallest difference between two unrelated methods of this spread that would be found in four of five"
-            f" repetitions, at the first step of Holm's correction for {len(metrics)} metrics:"
-            f" {', '.join(texts)}."
-        )
+        sentence = "Smallest difference between two unrelated methods of this spread that would be found in four of"
+        sentence += f" five repetitions, at the first step of Holm's correction for {len(metrics)} metrics:"
+        yield f"{sentence} {', '.join(texts)}."
 
 
 def why_undecided(split: str, sequences: int, recordings: int, *, methods: int = 2) -> str:

@@ -150,7 +150,5 @@ def _verdict(found: Sequence[VerifiedDataset]) -> str:
         return f"verified on tables of the same values: {counts}; every score follows from its motion"
     _, each, drift = max(drifting, key=lambda entry: entry[0])
     size = f"{drift.drift * printed_scale(drift.unit):.3g}{printed_unit(drift.unit)}"
-    return (
-        f"verified on tables of the same sequences with other values: {counts}; largest drift {size} in {drift.title}"
-        f" ({each.run}, {each.dataset})"
-    )
+    sentence = "verified on tables of the same sequences with other values:"
+    return f"{sentence} {counts}; largest drift {size} in {drift.title} ({each.run}, {each.dataset})"

@@ -248,11 +248,9 @@ def _run_all(
         with progress(f"drawing {view.name}") as show_drawing:
             below = [*draw(wanted, show_drawing).notices, f"view: {view}"]
     if first_run and not experiment.sequences:
-        note(
-            f"these are {requests[0].limit} sequences of each dataset (--limit N takes another number); for the same"
-            f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
-            f" {requests[0].limit} …"
-        )
+        told = f"these are {requests[0].limit} sequences of each dataset (--limit N takes another number); for the same"
+        told += f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
+        note(f"{told} {requests[0].limit} …")
     return run_answer(reports, companions, single=bool(experiment.sequences), data=requests[0].data, below=below)
 
 
@@ -480,11 +478,9 @@ def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> i
     status = child.exitcode or 0
     if -status in (signal.SIGINT, signal.SIGTERM):
         return 128 - status
-    raise AdapterError(
-        f"method '{method}': the process that it ran in {exit_story(status)}, so there are no scores. A method must"
-        " not call os._exit() or leave the process from C; it raises an exception instead. Finished batches are kept;"
-        " --isolate runs it in a process of its own and shows what it wrote last."
-    )
+    problem = f"method '{method}': the process that it ran in {exit_story(status)}, so there are no scores. A method"
+    problem += " must not call os._exit() or leave the process from C; it raises an exception instead. Finished batches"
+    raise AdapterError(f"{problem} are kept; --isolate runs it in a process of its own and shows what it wrote last.")
 
 
 def _report(command: _Command, arguments: list[str], sender: Connection) -> None:

@@ -220,11 +220,9 @@ def require_whole(folders: Sequence[Path]) -> list[tuple[Path, ShardRecord]]:
         remedy = "Make them with the command of the others and their --shard."
         raise ShardError(f"expected all {first.count} shards, found {len(by_number)}: {named}{more} missing. {remedy}")
     if first.prbench_version != prbench.__version__ or first.code_digest != code_digest():
-        raise ShardError(
-            f"{first_folder / FILE_NAME}: the shards were made by prbench {clean(first.prbench_version)} (source files"
-            f" {_shown(first.code_digest)}), and this is {prbench.__version__} ({_shown(code_digest())}). Merge them"
-            " with the prbench that made them."
-        )
+        refusal = f"{first_folder / FILE_NAME}: the shards were made by prbench {clean(first.prbench_version)} (source"
+        refusal += f" files {_shown(first.code_digest)}), and this is {prbench.__version__} ({_shown(code_digest())})."
+        raise ShardError(f"{refusal} Merge them with the prbench that made them.")
     return [by_number[number] for number in sorted(by_number)]
 
 

@@ -209,11 +209,9 @@ def table_finder(data: Sequence[Path], *, same_values: bool = True) -> Callable[
         for table in opened:
             is_merged = record.whole_table is not None and record.fold is None  # of several tables
             if not same_values and not is_merged and table.info.dataset == record.dataset:
-                raise RunError(
-                    f"{table.folder}: expected the sequences of {record.dataset} that the run was made on (identity"
-                    f" {record.identity_digest[:12]}…), found others ({table.identity[:12]}…). Name the table that was"
-                    " built from the same recordings by the same protocol."
-                )
+                problem = f"{table.folder}: expected the sequences of {record.dataset} that the run was made on"
+                problem += f" (identity {record.identity_digest[:12]}…), found others ({table.identity[:12]}…). Name"
+                raise RunError(f"{problem} the table that was built from the same recordings by the same protocol.")
         return None
 
     return find

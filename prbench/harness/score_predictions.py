@@ -156,11 +156,9 @@ def settled_by_conditions(
     listed = ", ".join(str(table.folder) for table in tables)
     # Fingerprints instead of names: the file must not tell a method which data it is asked about.
     if info.tables != offline.fingerprints(table.identity for table in tables):
-        raise PredictionsError(
-            f"{path}: expected conditions of {listed}, found those of {len(info.tables)} table"
-            f"{'' if len(info.tables) == 1 else 's'} of which not all are given or one is another. Give --data the"
-            " very tables that the conditions were exported from."
-        )
+        refusal = f"{path}: expected conditions of {listed}, found those of {len(info.tables)}"
+        refusal += f" table{'' if len(info.tables) == 1 else 's'} of which not all are given or one is another. Give"
+        raise PredictionsError(f"{refusal} --data the very tables that the conditions were exported from.")
     # Nothing in the file says whether goals were shuffled; the goals themselves do.
     has_goals = bool(offline.GOALS & set(offline.given_columns(info.condition)))
     different = []
@@ -243,10 +241,8 @@ def require_complete(
     elif repeated and len(repeated) == len(set(predictions.ids)):
         remedy = "Where a sequence has several motions, number them from 0 in 'sample', as the conditions file does."
     else:
-        remedy = (
-            "Hand in every sequence exactly once for each sample, or name the split that the motions are of (--split,"
-            f" split=; {selections[0].split} is scored) or a part of it (--limit, limit=)."
-        )
+        remedy = "Hand in every sequence exactly once for each sample, or name the split that the motions are of"
+        remedy += f" (--split, split=; {selections[0].split} is scored) or a part of it (--limit, limit=)."
     raise PredictionsError(
         f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}:"
         f" missing {listed(missing)}, repeated {listed(repeated)}, unknown {listed(sorted(unknown))}"

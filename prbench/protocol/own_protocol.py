@@ -142,18 +142,14 @@ def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> Benchma
                 )
             continue
         if table is None:
-            raise UsageError(
-                f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench, which"
-                " cannot be compared with it. Build the table again, with --protocol."
-            )
+            problem = f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench,"
+            raise UsageError(f"{problem} which cannot be compared with it. Build the table again, with --protocol.")
         found = dict(_leaves(msgspec.to_builtins(table)))
         for key, value in _leaves(msgspec.to_builtins(wanted)):
             if key.partition(".")[0] not in _SCORING and found.get(key, value) != value:
-                raise UsageError(
-                    f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
-                    f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
-                    " differ."
-                )
+                problem = f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
+                problem += f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown]"
+                raise UsageError(f"{problem} may differ.")
     return wanted
 
 
@@ -177,8 +173,6 @@ class DescribedTable:
             TableError: if the copy beside the table is missing or another one.
         """
         if OPTION in self.options and not (self.folder / FILE_NAME).is_file():
-            raise TableError(
-                f"{self.folder}: follows the protocol {self.options[OPTION]}, and its {FILE_NAME} is missing. Put the"
-                " file back, or build the table again."
-            )
+            problem = f"{self.folder}: follows the protocol {self.options[OPTION]}, and its {FILE_NAME} is missing."
+            raise TableError(f"{problem} Put the file back, or build the table again.")
         return protocol_beside(self.folder, digest=self.digest, wrong=TableError)

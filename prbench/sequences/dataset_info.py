@@ -206,10 +206,8 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
     def why_not_scored(self) -> str | None:
         """Why no metric may be computed on this dataset, or None: an import may not know the frame of its goals."""
         if self.options.get("goal_frame") == "unknown":
-            return (
-                "it was imported from a release whose goals are in an unknown frame (import_report.json has the"
-                " evidence), so no distance to a goal means anything"
-            )
+            sentence = "it was imported from a release whose goals are in an unknown frame (import_report.json has the"
+            return f"{sentence} evidence), so no distance to a goal means anything"
         return None
 
 

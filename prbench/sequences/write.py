@@ -189,10 +189,8 @@ def require_no_loss(
         if new and not failed and len(new) >= before:
             return
         lost = reasons
-        counts = (
-            f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new"
-            f" one holds {holds} {what}"
-        )
+        counts = f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read),"
+        counts += f" and the new one holds {holds} {what}"
     else:
         old, _ = _held(pa.concat_tables(tables).to_batches(), outcome)
         lost = {name: reasons.get(name, "not found") for name in old if name not in new}
@@ -206,11 +204,9 @@ def require_no_loss(
     named = [f"{clean(name)} ({quoted(lost[name], longest=_LONGEST_REASON)})" for name in list(lost)[:_SHOWN]]
     more = [f"and {len(lost) - _SHOWN} more"] if len(lost) > _SHOWN else []
     told = f" Would be lost: {'; '.join(named + more)}." if named else ""
-    raise RecordingsWouldBeLost(
-        f"{folder}: not replaced: {counts}.{told} What stands there is untouched, and finished parts are kept."
-        " Is all of the data there (`prbench inspect`)? Then run the same command again; with `--replace` to replace"
-        " it all the same, or with another --out to have both."
-    ) from None
+    problem = f"{folder}: not replaced: {counts}.{told} What stands there is untouched, and finished parts are kept. Is"
+    problem += " all of the data there (`prbench inspect`)? Then run the same command again; with `--replace` to"
+    raise RecordingsWouldBeLost(f"{problem} replace it all the same, or with another --out to have both.") from None
 
 
 _ROW_GROUP_ROWS = 256

@@ -79,10 +79,8 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
     panels[0].legend(fontsize=6)
     tables = ", ".join(f"{each.dataset} ({each.sequences} sequences)" for each in statistics)
     grey = "" if published is None else " Grey: published mean and standard deviation."
-    caption = (
-        f"Sequences of {tables}: a to c, place of the goal from the first pose; d, how far the body moves; e, angle"
-        " between gaze and goal around the prime time, median and quartiles; f, time from the prime to the event."
-        f" Densities; vertical lines are means.{grey}"
-    )
+    caption = f"Sequences of {tables}: a to c, place of the goal from the first pose; d, how far the body moves; e,"
+    caption += " angle between gaze and goal around the prime time, median and quartiles; f, time from the prime to the"
+    caption += f" event. Densities; vertical lines are means.{grey}"
     write_figure(figure, path, caption)
     return caption

@@ -247,10 +247,8 @@ def _chosen(request: ViewRequest, shown: Shown, most: int | None = DEFAULT_LIMIT
             if name not in motions:
                 run = motions.run
                 limited = "" if run.record.limit is None else f" with --limit {run.record.limit}"
-                raise UsageError(
-                    f"{run.path}: holds no motion of {name}; the run was of split '{run.record.split}'{limited}."
-                    " Run this sequence alone: prbench run … --sequence ID"
-                )
+                problem = f"{run.path}: holds no motion of {name}; the run was of split '{run.record.split}'{limited}."
+                raise UsageError(f"{problem} Run this sequence alone: prbench run … --sequence ID")
     return chosen
 
 

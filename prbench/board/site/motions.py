@@ -83,11 +83,9 @@ def write_motions(
     shown = may_pass_on(table.info, permitted, published=True)
     left_out = []
     if not shown:
-        left_out.append(
-            f"{table.info.title} ({table.info.dataset}): recorded motion, gaze and goals are left out, and the motions"
-            f" of controls, which are made of them: its licence ({table.info.redistribution}) asks for permission"
-            f" (--permission {table.info.dataset})."
-        )
+        told = f"{table.info.title} ({table.info.dataset}): recorded motion, gaze and goals are left out, and the"
+        told += f" motions of controls, which are made of them: its licence ({table.info.redistribution}) asks for"
+        left_out.append(f"{told} permission (--permission {table.info.dataset}).")
     opened = {}
     for key, row in rows.items():
         scored = row.entry.sequences

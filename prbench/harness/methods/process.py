@@ -357,11 +357,9 @@ class ProgramProcess:
             except Fault as fault:
                 if fault.kind != "late":
                     raise
-                raise Fault(
-                    f"announced a payload of {size:,} bytes and wrote {found:,} of them within {self._seconds:g} s."
-                    " 'bytes' has to be the size of what follows, all of it written and flushed; if it was still"
-                    " writing, raise the limit with --timeout"
-                ) from None
+                problem = f"announced a payload of {size:,} bytes and wrote {found:,} of them within {self._seconds:g}"
+                problem += " s. 'bytes' has to be the size of what follows, all of it written and flushed; if it was"
+                raise Fault(f"{problem} still writing, raise the limit with --timeout") from None
         return self._cut(size)
 
     def _cut(self, size: int) -> bytes:

@@ -44,10 +44,8 @@ class RunMotions:
         folder = run.dataset(dataset).predictions
         # The folder is made before its first part is written.
         if not folder.is_dir() or not any(folder.glob("part-*.parquet")):
-            raise RunError(
-                f"{folder}: expected the predictions of a run, found none. Run the same `prbench run` again: it resumes"
-                " where it was interrupted."
-            )
+            problem = f"{folder}: expected the predictions of a run, found none. Run the same `prbench run` again:"
+            raise RunError(f"{problem} it resumes where it was interrupted.")
         if not 0 <= sample < run.record.samples:
             raise RunError(f"{run.path}: expected a sample from 0 to {run.record.samples - 1}, found {sample}.")
         return cls(label, run, dataset, Predictions.open(folder), sample)
