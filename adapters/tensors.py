@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -20,6 +20,10 @@ class TensorRecord:
     def each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> Self:
         """Return the record with each tensor changed."""
         return replace(self, **{name: change(tensor) for name, tensor in self.tensors().items()})
+
+    def rows(self, index: slice | Sequence[int] | torch.Tensor) -> Self:
+        """Return some of the rows, in the order of ``index``."""
+        return self.each(lambda tensor: tensor[index])
 
     def to(self, device: torch.device | str, *, non_blocking: bool = False) -> Self:
         """Return the record on a device."""

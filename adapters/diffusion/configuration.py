@@ -8,7 +8,6 @@ second. :attr:`DenoiserConfiguration.condition_parts` tells where each part stan
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -156,10 +155,6 @@ class EncodedCondition(TensorRecord):
     def without_text(self) -> EncodedCondition:
         """Return the unconditional half of guidance: zeros for the text vectors; its padding and the vector stay."""
         return replace(self, text=torch.zeros_like(self.text))
-
-    def rows(self, index: slice | Sequence[int] | torch.Tensor) -> EncodedCondition:
-        """Return some of the motions, in the order of ``index``."""
-        return self.each(lambda values: values[index])
 
     def then(self, other: EncodedCondition) -> EncodedCondition:
         """Return these motions and those of ``other`` as one batch; both have the same number of tokens.

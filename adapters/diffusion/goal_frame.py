@@ -31,6 +31,7 @@ from prbench_adapters.diffusion.footsteps import stepped
 
 Joints = Float[Tensor, "batch frames 22 3"]  # metres
 Flat = Float[Tensor, "batch frames 66"]  # joints in one row
+Features = Float[Tensor, "batch frames 68"]
 Counts = Int[Tensor, " batch"]
 
 # Seconds over which corrections of the first and last frame fade out; choice: about a step.
@@ -116,7 +117,7 @@ class GoalFrame:
         last = None if pose is None else frame._pose_features(pose[:, None])[:, 0]
         return replace(frame, first=first, rates=(soon - first) / _SOON, last=last)
 
-    def encode(self, joints: Joints, fps: float) -> Float[Tensor, "batch frames 68"]:
+    def encode(self, joints: Joints, fps: float) -> Features:
         """Features of canonical joints; lengths of bones are lost."""
         pose = self._pose_features(joints)
         return torch.cat((pose, planted(joints, fps).to(pose.dtype)), dim=2)
@@ -128,13 +129,7 @@ class GoalFrame:
         return torch.cat([part.flatten(2) for part in (pelvis, self._turned(directions), ends)], dim=2)
 
     def decode(
-        self,
-        features: Float[Tensor, "batch frames 68"],
-        n_frames: Counts,
-        fps: float,
-        *,
-        steps: bool = False,
-        reach: bool = False,
+        self, features: Features, n_frames: Counts, fps: float, *, steps: bool = False, reach: bool = False
     ) -> Joints:
         """Canonical joints, metres, with the bones, the first frame and the goal pose that are given.
 

@@ -183,13 +183,6 @@ class MotionModel:
         return frame.decode(features, n_frames, self.configuration.fps, steps=feet == "steps", reach=reach == "goal")
 
 
-def led_to_goal(
-    model: MotionModel, joints: Float[torch.Tensor, "batch frames 22 3"], condition: EncodedCondition, n_frames: Counts
-) -> Float[torch.Tensor, "batch frames 22 3"]:
-    """Finished motions of goal-frame features, with the nearer wrist led to the goal within the last half second."""
-    return goal_frame(condition, joints).led_to_goal(joints, n_frames, model.configuration.fps)
-
-
 def network(configuration: DenoiserConfiguration) -> Network:
     """Make the network of a configuration, untrained."""
     return FrameDenoiser(configuration) if configuration.architecture == "frames" else Denoiser(configuration)

@@ -197,10 +197,6 @@ class Targets(TensorRecord):
         if (self.goal_joints is None) is (self.goal_location is None):
             raise ValueError("a motion is asked for either a goal pose or a goal location")
 
-    def rows(self, index: Int[torch.Tensor, " kept"]) -> Targets:
-        """Return the targets of some of the sequences."""
-        return self.each(lambda tensor: tensor[index])
-
 
 # Losses of motions against targets of the same batch.
 Objective = Callable[[Joints, Counts, Targets, OptimisationSettings], Losses]

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from prbench.contract import ConditionBatch, Cost, Motions
 from prbench_adapters.diffusion import generation, noise_optimisation
 from prbench_adapters.diffusion.configuration import EncodedCondition
-from prbench_adapters.diffusion.model import MotionModel, led_to_goal
+from prbench_adapters.diffusion.model import MotionModel, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
@@ -146,7 +146,7 @@ def generate_optimised(
     found = optimise_noise(model, condition, targets, n_frames, noise, settings, seeds=seeds, objective=objective)
     joints = found.joints
     if settings.reach == "goal" and batch.goal_location is not None:
-        joints = led_to_goal(model, joints, condition, n_frames)
+        joints = goal_frame(condition, joints).led_to_goal(joints, n_frames, model.configuration.fps)
     cost = Cost(network_passes=int(found.network_passes.sum()))
     return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 

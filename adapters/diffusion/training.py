@@ -285,8 +285,7 @@ class DiffusionTraining(TrainingModule):
 
     def condition(self, batch: MotionBatch, without_text: Bool[torch.Tensor, " batch"]) -> EncodedCondition:
         """Encode what the network is told about a batch: the text unless hidden, the scaled condition vector always."""
-        device = batch.features.device
-        text, padding = (values.to(device, non_blocking=True) for values in self.texts(batch.text))
+        text, padding = (values.to(batch.features.device, non_blocking=True) for values in self.texts(batch.text))
         text = text.masked_fill(without_text[:, None, None], 0.0)
         if self.scaling is None:
             return EncodedCondition(text, padding)

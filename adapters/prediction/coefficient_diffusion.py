@@ -30,6 +30,7 @@ Samples = Float[Tensor, "windows samples coefficients values"]
 Stream = Float[Tensor, "windows samples coefficients width"]
 Graph = Float[Tensor, "batch channels nodes steps"]
 Kept = Bool[Tensor, "windows samples"]
+KeptWindows = Bool[Tensor, " windows"]
 # What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
 # (windows, heads, coefficients, width / heads).
 _Memory = tuple[Tensor, Tensor]
@@ -458,11 +459,7 @@ class CoefficientDiffusion(nn.Module):
         return observed if self.encoder is None else self.encoder(observed)
 
     def loss(
-        self,
-        motion: Motion,
-        step: Int[Tensor, " windows"],
-        noise: Coefficients,
-        kept: Bool[Tensor, " windows"] | None = None,
+        self, motion: Motion, step: Int[Tensor, " windows"], noise: Coefficients, kept: KeptWindows | None = None
     ) -> Float[Tensor, ""]:
         """Mean squared error of the predicted noise, or velocity.
 
@@ -585,7 +582,7 @@ class CoefficientDiffusion(nn.Module):
         for step, previous in zip(reversed(steps), [*reversed(steps[:-1]), 0], strict=True):
             yield step, float(levels[step]), float(levels[previous])
 
-    def _prepared(self, condition: Tensor, kept: Bool[Tensor, " windows"] | None) -> PreparedCondition:
+    def _prepared(self, condition: Tensor, kept: KeptWindows | None) -> PreparedCondition:
         """Return the condition, and for windows that do not keep it what is left of it."""
         if kept is not None and self.configuration.dropped == "both":
             condition = condition * kept[:, None, None]

@@ -84,8 +84,7 @@ class TracksDataset(DrawnDataset):
         """Stack windows, each in the frame of its last head."""
         rows, columns, offsets = (torch.stack(parts) for parts in zip(*items, strict=True))
         windows, turn, _ = features.in_head_frame(rows)
-        rotations = turned(columns, turn.mT)
-        return features.TrackWindows(windows, rotations, windows[:, :, 36:39].clone(), offsets)
+        return features.TrackWindows(windows, turned(columns, turn.mT), windows[:, :, 36:39].clone(), offsets)
 
     def __getitem__(self, index: int | tuple[int, int]) -> TrackItem:
         """Return the item of a place, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""

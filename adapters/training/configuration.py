@@ -148,11 +148,7 @@ def list_configurations(package: str, task: str) -> tuple[str, ...]:
 
 
 def resolved(
-    task: Any,
-    configuration: str | None = None,
-    *,
-    stage: str | None = None,
-    overrides: Sequence[tuple[str, str]] = (),
+    task: Any, configuration: str | None = None, *, stage: str | None = None, overrides: Sequence[tuple[str, str]] = ()
 ) -> tuple[str, TrainingConfiguration]:
     """Return the stage and the configuration of a training.
 

@@ -124,8 +124,7 @@ def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
     for outcome, number in info.outcomes.items():
         rows.append(("windows" if outcome == "window" else f"windows: {outcome}", str(number)))
     title = f"{info.title}: {info.joint_set}, {info.fps:g} frames a second"
-    report = WindowsReport(folder=folder, built=info)
-    return builds.answer_of_table(report, info, title, rows, f"windows: {folder}")
+    return builds.answer_of_table(WindowsReport(folder=folder, built=info), info, title, rows, f"windows: {folder}")
 
 
 def merged_windows(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> Answer:

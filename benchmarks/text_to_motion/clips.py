@@ -189,6 +189,7 @@ def token_vectors(
 _AT_ONCE = 128
 
 
+@dataclass(eq=False)
 class Extractor:
     """Embeds motions and texts with its own statistics: every evaluator input goes through here, and only here.
 
@@ -204,23 +205,19 @@ class Extractor:
         words_digest: Digest of the user's word vectors and lists; empty if it needs none.
     """
 
-    def __init__(
-        self,
-        configuration: networks.EvaluatorConfiguration,
-        movement: networks.MovementEncoder,
-        motion: networks.SequenceEncoder,
-        text: networks.TextEncoder,
-        *,
-        statistics: Statistics,
-        tokens: TokenVectors,
-        device: str = "cpu",
-        digest: str = "",
-        words_digest: str = "",
-    ) -> None:
-        self.configuration, self.statistics, self.tokens, self.device = configuration, statistics, tokens, device
-        self.digest, self.words_digest = digest, words_digest
-        frozen = (network.eval().requires_grad_(False).to(device) for network in (movement, motion, text))
-        self.movement, self.motion, self.text = frozen
+    configuration: networks.EvaluatorConfiguration
+    movement: networks.MovementEncoder
+    motion: networks.SequenceEncoder
+    text: networks.TextEncoder
+    statistics: Statistics
+    tokens: TokenVectors
+    device: str = "cpu"
+    digest: str = ""
+    words_digest: str = ""
+
+    def __post_init__(self) -> None:
+        for network in (self.movement, self.motion, self.text):
+            network.eval().requires_grad_(False).to(self.device)
 
     @property
     def vectorisation(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -37,14 +37,7 @@ if TYPE_CHECKING:
 @opt.on_error_option()
 @opt.engine_options()
 def build_tracks(
-    *,
-    dataset: str,
-    root: Path,
-    out: Path,
-    on_error: str,
-    engine: EngineChoice,
-    max_recordings: int | None,
-    **given: Any,
+    *, dataset: str, root: Path, out: Path, on_error: str, engine: EngineChoice, max_recordings: int | None, **given
 ) -> Answer:
     """Cut recordings into tracks of three points: the poses of head and wrists, beside the body that they belong to."""
     where = opt.opened(engine, reads=(root,), writes=(out,))

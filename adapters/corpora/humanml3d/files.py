@@ -113,8 +113,7 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
     joints = load_array(path, remedy="Make the file again.")
     fits = joints.ndim == 3 and joints.shape[1:] == (N_JOINTS, 3) and joints.dtype.kind in "fiu"
     fits = fits and len(joints) >= 2
-    found = f"{joints.shape} of {joints.dtype}"
-    require(path, (fits, "", "numbers of the shape (2 or more, 22, 3)", found, ""))
+    require(path, (fits, "", "numbers of the shape (2 or more, 22, 3)", f"{joints.shape} of {joints.dtype}", ""))
     joints = joints.astype(np.float64)
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
     # Where a joint is NaN, so is the trunk: that is refused below, with its frame.

@@ -33,11 +33,6 @@ class ClockOffset:
     seconds: float
     quality: float | None = None
 
-    @property
-    def approximate(self) -> bool:
-        """Return True if only the starts were aligned."""
-        return self.method == "start_alignment"
-
 
 def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
     """Return the user's own offset of a sequence; None where the file does not name it.

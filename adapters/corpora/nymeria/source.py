@@ -95,7 +95,7 @@ def recording_clips(
                 clock_method=offset.method,
                 clock_offset=offset.seconds,
                 clock_quality=offset.quality,
-                approximate=offset.approximate,
+                approximate=offset.method == "start_alignment",
                 pose_source=body.pose_source,
                 head_tilt_deg=body.head_tilt_deg,
                 extra={"annotators": annotators} if annotators else {},

@@ -202,26 +202,25 @@ class TracksJob(RecordingJob):
             apart = np.linalg.norm(kinematic - joints[part], axis=-1)
             n = stop - first
             position, rotation, valid = (each[part] for each in given)
-            tracks.append(
-                table.Track(
-                    sequence_id=f"{identity.dataset}/{identity.recording_id}/{self.devices}/{frames[first]:08d}",
-                    recording_id=identity.recording_id,
-                    participant_id=identity.participant_id,
-                    split=identity.split,
-                    devices=self.devices,
-                    fps=self.fps,
-                    start_time=float(times[first]),
-                    n_frames=n,
-                    device_position=position.reshape(n, -1),
-                    device_rotation=_quaternions(rotation).reshape(n, -1),
-                    device_valid=valid,
-                    rotation_valid=valid,
-                    joints=joints[part].reshape(n, -1),
-                    rotations=_quaternions(local[part]).reshape(n, -1),
-                    offsets=offsets.ravel(),
-                    kinematic_deviation=round(float(np.percentile(apart, 95)), 6),
-                )
+            track = table.Track(
+                sequence_id=f"{identity.dataset}/{identity.recording_id}/{self.devices}/{frames[first]:08d}",
+                recording_id=identity.recording_id,
+                participant_id=identity.participant_id,
+                split=identity.split,
+                devices=self.devices,
+                fps=self.fps,
+                start_time=float(times[first]),
+                n_frames=n,
+                device_position=position.reshape(n, -1),
+                device_rotation=_quaternions(rotation).reshape(n, -1),
+                device_valid=valid,
+                rotation_valid=valid,
+                joints=joints[part].reshape(n, -1),
+                rotations=_quaternions(local[part]).reshape(n, -1),
+                offsets=offsets.ravel(),
+                kinematic_deviation=round(float(np.percentile(apart, 95)), 6),
             )
+            tracks.append(track)
         counts = {"tracks": len(tracks), "frames": sum(track.n_frames for track in tracks)}
         whose = (identity.recording_id, identity.participant_id, identity.split, identity.split_group)
         record = RecordingRow(*whose, len(times) / self.fps, counts, "read", "; ".join(messages))

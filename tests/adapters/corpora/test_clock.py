@@ -63,7 +63,6 @@ def test_the_offset_of_the_same_head_is_found_whatever_the_mounting():
     offset, why = offset_by_correlation(suit_with(head), glasses(head), THRESHOLDS)
     assert offset is not None, why
     assert offset.method == "correlation"
-    assert not offset.approximate
     assert offset.seconds == pytest.approx(OFFSET, abs=1e-3)
 
 
@@ -128,7 +127,7 @@ def test_starts_are_aligned_at_the_lead_of_known_sequences():
     clean = suit_with(turning(30.0))
     offset, _ = offset_by_starts(rows((905.0, 909.0), (900.0, 904.0)), clean, THRESHOLDS)
     assert offset is not None
-    assert offset.approximate
+    assert offset.method == "start_alignment"
     assert 900.0 + offset.seconds == pytest.approx(START_US / 1e6 + 0.21)
 
 
@@ -146,5 +145,5 @@ def test_the_users_file_names_sequences(tmp_path):
     path.write_text(json.dumps({"one": 12.5}))
     offset = offset_from_file(path, "one")
     assert offset is not None
-    assert (offset.method, offset.seconds, offset.approximate) == ("file", 12.5, False)
+    assert (offset.method, offset.seconds) == ("file", 12.5)
     assert offset_from_file(path, "three") is None
