@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
-from prbench.text import TextEncoder, text_encoder
+from prbench.text import TextEncoder, padded, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser, Network
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
@@ -70,13 +70,8 @@ class TextVectors:
             encoded = self.encoder.encode(missing)
             for text, tokens, padding in zip(missing, encoded.tokens, encoded.padding, strict=True):
                 self._known[text] = tokens[~padding].copy()
-        vectors = [self._known[text] for text in texts]
-        lengths = np.array([len(tokens) for tokens in vectors])
-        stacked = np.zeros((len(texts), int(lengths.max()), self.encoder.dimension), dtype=np.float32)
-        for row, tokens in enumerate(vectors):
-            stacked[row, : len(tokens)] = tokens
-        padding = np.arange(stacked.shape[1]) >= lengths[:, None]
-        return torch.from_numpy(stacked), torch.from_numpy(padding)
+        stacked = padded([self._known[text] for text in texts], self.encoder.dimension)
+        return torch.from_numpy(stacked.tokens), torch.from_numpy(stacked.padding)
 
 
 class MotionModel:

@@ -88,11 +88,10 @@ class LearnedPredictor:
         together = max(_MOST_TOGETHER // n_samples, 1)
         parts = []
         for first in range(0, len(observed), together):
-            generators = [
-                [sample_generator(seed, key, k) for k in range(n_samples)]
-                for key in batch.key[first : first + together]
-            ]
-            seeds = [[int(each.integers(2**63 - 1)) for each in row] for row in generators]
+            seeds = []
+            for key in batch.key[first : first + together]:
+                generators = (sample_generator(seed, key, k) for k in range(n_samples))
+                seeds.append([int(each.integers(2**63 - 1)) for each in generators])
             shown = torch.from_numpy(observed[first : first + together]).to(weight)
             parts.append(network.predict(shown, seeds).double().cpu().numpy())
         joints = np.concatenate(parts)[:, :, :, : seen.n_joints]
