@@ -59,7 +59,16 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
         for frame in frames:
             grey = f"{round(255 * (0.78 - 0.68 * frame / max(scene.n_frames - 1, 1))):02x}"
             _draw_pose(place, scene, motion.joints[frame], colour=f"#{3 * grey}")
-        _draw_gaze(place, scene, moments(scene)[1])
+        # The gaze at the prime as a line, and a cross where it passes the goal.
+        gaze = motion.gaze
+        prime = moments(scene)[1]
+        if gaze is not None and scene.goal is not None and gaze.valid[prime]:
+            origin = gaze.origin[prime]
+            direction = gaze.direction[prime]
+            along = max(float((scene.goal.location - origin) @ direction), 0.0)
+            begin, end = _flat(scene, np.stack([origin, origin + along * direction]))
+            place.plot([begin[0], end[0]], [begin[1], end[1]], color=GAZE_COLOUR, linestyle="--", zorder=4)
+            place.plot(*end, "+", color=GAZE_COLOUR, markersize=7, markeredgewidth=1.5, zorder=6)
         _draw_goal(place, scene)
     for place in axes[len(scenes) :]:
         place.set_axis_off()
@@ -147,19 +156,6 @@ def _draw_pose(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, c
 
     towards = np.cross(_way(scene), [0.0, 1.0, 0.0])
     figures.draw_bodies(axes, joints[None], colour, flat, towards, head_tilt_deg=scene.head_tilt_deg)
-
-
-def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:
-    """Draw the gaze at the prime as a line, and a cross where it passes the goal."""
-    gaze = scene.motions[0].gaze
-    if gaze is None or scene.goal is None or not gaze.valid[frame]:
-        return
-    origin = gaze.origin[frame]
-    direction = gaze.direction[frame]
-    along = max(float((scene.goal.location - origin) @ direction), 0.0)
-    begin, end = _flat(scene, np.stack([origin, origin + along * direction]))
-    axes.plot([begin[0], end[0]], [begin[1], end[1]], color=GAZE_COLOUR, linestyle="--", zorder=4)
-    axes.plot(*end, "+", color=GAZE_COLOUR, markersize=7, markeredgewidth=1.5, zorder=6)
 
 
 def _draw_goal(axes: Axes, scene: Scene) -> None:
