@@ -8,7 +8,9 @@ benchmark", shows how one is added.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,7 +25,7 @@ from jaxtyping import Int
 
 from prbench.checking.doctor.motion_set import Diagnosis
 from prbench.engine import Engine
-from prbench.errors import UsageError, did_you_mean
+from prbench.errors import PrbenchError, UsageError, did_you_mean
 from prbench.harness.methods.loading import MethodSpec
 from prbench.harness.methods.remote import MethodGroup
 from prbench.harness.planning import of_distinct_datasets
@@ -248,11 +250,13 @@ class Benchmark(ABC, Generic[Table, Chosen]):
             if ids & own.keys():
                 cases: Any = self.cases(table, split=request.split, limit=None)
                 chosen.append(cases.chosen(np.isin(cases.sequence_ids, sorted(ids))))
-        if missing := ids.difference(*(each.sequence_ids for each in chosen)):
+        for name in sorted(ids.difference(*(each.sequence_ids for each in chosen))):
             remedy = "Name its split with --split."
-            raise UsageError(
-                f"{min(missing)}: expected a case of split '{request.split}', found one of another. {remedy}"
-            )
+            for table, split in itertools.product(tables, ("train", "validation", "test")):
+                with contextlib.suppress(PrbenchError):  # a split without cases
+                    if name in self.cases(table, split=split, limit=None).sequence_ids:
+                        remedy = f"Give --split {split}."
+            raise UsageError(f"{name}: expected a case of split '{request.split}', found one of another. {remedy}")
         return chosen
 
     def answerable(self, request: RunRequest, cases: Chosen, method: MethodRecord) -> Chosen:

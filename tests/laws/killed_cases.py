@@ -143,6 +143,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
         call("synthesize hd-epic --count 1 --events 4 --out {hd-epic}")
         call("build-dataset hd-epic --root {hd-epic} --out {hdepic}")
         call("build-corpus synthetic --count 4 --out {corpus}")
+        call("synthesize nymeria --count 2 --out {nymeria}")
         call("train --method t2m-evaluator --config smoke --set training.steps=2 --data {corpus} --out {evaluator}")
     fake_dataset(folder / "table", 6)
     write_windows(folder / "windows")
@@ -213,6 +214,7 @@ WRITING = (
     ),
     Writing("build-windows --out", "build-windows adt --root {adt} --out {out}"),
     Writing("build-windows --data", "build-windows --data {table} --out {out}"),
+    Writing("build-tracks --out", "build-tracks nymeria --root {nymeria} --devices synthetic --out {out}", heavy=True),
     Writing("build-corpus --out", "build-corpus synthetic --count 1 --out {out}"),
     Writing("synthesize --out", "synthesize adt --count 1 --events 2 --out {out}", heavy=True),
     Writing("synthesize --table", "synthesize adt --table --count 1 --events 2 --out {out}"),
@@ -296,7 +298,9 @@ WRITING = (
         half_kept="cache/egoallo",
     ),
     Writing("poses --out", "poses egoallo --root {bodiless} --dry-run --out {out}", "p.json"),
-    Writing("datasets --out", "datasets --out {out}", "d.json"),
+    Writing("datasets list --out", "datasets --out {out}", "d.json"),
+    Writing("datasets new --out", "datasets new glide-eyes --out {out}", refuses=True),
+    Writing("datasets check --out", "datasets check adt --root {adt} --out {out}", "d.json", heavy=True),
     Writing("adapters new --out", "adapters new glide --out {out}", refuses=True),
     Writing("adapters list --converters", "adapters list --converters {out}", "prbench_converters.py"),
     Writing("adapters check --out", "adapters check static --out {out}", "a.json", varies=("a.json",), heavy=True),

@@ -76,9 +76,9 @@ BAD_INPUT = [
         "other bytes": (lambda path: path.write_bytes(b"nothing of the kind"), ["expected a readable"]),
     }),
     *bad_files("a method's TOML file", _described, read_description, {
-        "empty": (_written(""), ["glide.toml, [method]: ", "missing required field `method`"]),
+        "empty": (_written(""), ["glide.toml: ", "missing required field `method`"]),
         "no command": (_written("[method]\n"), ["glide.toml, method: ", "missing required field `command`"]),
-        "another table": (_written("[metod]\n", behind=True), ["[method]: ", "unknown field `metod`"]),
+        "another table": (_written("[metod]\n", behind=True), ["unknown field `metod`", "Did you mean 'method'?"]),
         "another key": (_written('[method]\ncomand = "x"\n'), ["method: ", "unknown field `comand`"]),
         "another limit": (_written("[limits]\nbatch = 3\n", behind=True), ["limits: ", "unknown field `batch`"]),
         "no time": (_written("[limits]\nbatch_s = 0\n", behind=True), ["limits.batch_s: ", "> 0"]),

@@ -259,7 +259,7 @@ ENTRY_POINT_GROUP = "prbench.training_tasks"
 # The callable without arguments that makes the task of a method, in the module of the method's ``load``
 _BESIDE_THE_METHOD = "training_task"
 
-_DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
+_DEFINITION = re.compile(rf"^(?:def )?{_BESIDE_THE_METHOD}\b", re.MULTILINE)
 
 
 def _tasks() -> list[EntryPoint]:
