@@ -382,7 +382,8 @@ def describe(
         chosen[OPTION] = protocol.label
     # BibTeX of the dataset and, where they are not its own, of the body poses.
     body = manifest.body_source(dict(options.reader).get("poses"))
-    about = provenance_of(dataset, protocol, receipts, receipts) | {"manifest_digest": digest_of(manifest)}
+    about = provenance_of(dataset, protocol, receipts, receipts)
+    about["manifest_digest"] = digest_of(manifest)
     about |= manifest.terms(synthetic=about["synthetic"])
     if not about["synthetic"]:
         about["citation"] = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)

@@ -300,7 +300,7 @@ WRITING = (
     Writing("poses --out", "poses egoallo --root {bodiless} --dry-run --out {out}", "p.json"),
     Writing("datasets list --out", "datasets --out {out}", "d.json"),
     Writing("datasets new --out", "datasets new glide-eyes --out {out}", refuses=True),
-    Writing("datasets check --out", "datasets check adt --root {adt} --out {out}", "d.json", heavy=True),
+    Writing("datasets check --out", "datasets check adt --root {adt} --out {out}", "d.json", varies=("d.json",), heavy=True),
     Writing("adapters new --out", "adapters new glide --out {out}", refuses=True),
     Writing("adapters list --converters", "adapters list --converters {out}", "prbench_converters.py"),
     Writing("adapters check --out", "adapters check static --out {out}", "a.json", varies=("a.json",), heavy=True),

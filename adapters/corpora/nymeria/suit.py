@@ -124,8 +124,8 @@ def read_suit(path: Path) -> Suit:
     calibration: list[np.ndarray | None] = []
     for key, size in zip(_OPTIONAL[2:], _SIZES.values(), strict=True):
         pose = archive.load([key]).get(key)
-        fits = pose is not None and pose.size == N_SEGMENTS * size
-        calibration.append(np.reshape(pose, (N_SEGMENTS, size)).astype(float) if fits else None)
+        fitting = pose if pose is not None and pose.size == N_SEGMENTS * size else None
+        calibration.append(None if fitting is None else fitting.reshape(N_SEGMENTS, size).astype(float))
     return Suit(time, arrays["segment_tXYZ"], arrays["segment_qWXYZ"], *calibration)
 
 

@@ -99,7 +99,7 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
 
     def device(carrier: np.ndarray, place: np.ndarray, slips: Any, rng: np.random.Generator) -> Any:
         """Poses of what slips on a carrier with these turns (n, 3, 3), at these places."""
-        slip = [wobble(motion.times, noise * slips[0], *slips[1:], rng) for _ in range(2)]
+        slip = [wobble(motion.times, noise * slips[0], slips[1], slips[2], rng) for _ in range(2)]
         worn = skeleton.rotation_matrices(rotation_quaternion(slip[0], slip[1]))
         rotation = np.round(quaternion(_Z_UP_FROM_Y_UP @ carrier @ worn), 8)
         position = np.rint(skeleton.z_up(place) * _ROUNDED) / _ROUNDED
