@@ -254,7 +254,8 @@ class Benchmark(ABC, Generic[Table, Chosen]):
             remedy = "Name its split with --split."
             for table, split in itertools.product(tables, ("train", "validation", "test")):
                 with contextlib.suppress(PrbenchError):  # a split without cases
-                    if name in self.cases(table, split=split, limit=None).sequence_ids:
+                    others: Any = self.cases(table, split=split, limit=None)
+                    if name in others.sequence_ids:
                         remedy = f"Give --split {split}."
             raise UsageError(f"{name}: expected a case of split '{request.split}', found one of another. {remedy}")
         return chosen
