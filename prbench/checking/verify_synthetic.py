@@ -92,9 +92,8 @@ class Spread:
         if len(sample) == 0:
             return cls(0, *(float("nan"),) * 4)
         size = np.abs(sample)
-        return cls(
-            len(sample), float(sample.mean()), float(np.median(size)), float(np.quantile(size, 0.95)), float(size.max())
-        )
+        largest = (float(np.quantile(size, 0.95)), float(size.max()))
+        return cls(len(sample), float(sample.mean()), float(np.median(size)), *largest)
 
 
 def true_events(preset: str, performance: Performance) -> list[TrueEvent]:

@@ -78,7 +78,6 @@ def curate_recording(
         UnknownEventError: for a correction of an event that is not found.
         RecordingUnusable: if published priming is asked for and the recording has none.
     """
-    group = recording.split_group or recording.recording_id
     rule = manifest.in_hand_rule(options.in_hand)
     events, remarks = find_events(recording, rule)
     if corrections is not None:
@@ -134,7 +133,7 @@ def curate_recording(
     record = RecordingRow(
         **_copied(recording, "recording_id", "participant_id", "shortfalls"),
         split=split,
-        split_group=group,
+        split_group=recording.split_group or recording.recording_id,
         status="read",
         duration=recording.span[1] - recording.span[0],
         outcomes=dict(Counter(row.outcome for row in rows)),

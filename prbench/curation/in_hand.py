@@ -402,9 +402,8 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
         close |= close_to(distance, times, resting, rule.distance)
         near |= close_to(distance, times, resting, _STAYS_WITHIN * rule.distance)
     staying = near | ~still  # what never came to rest was not put down
-    held = close & (speed > rule.moving_speed)
     lasting = {"minimum_duration": rule.minimum_duration, "join_gap": rule.join_gap}
-    segments = held_segments(held, staying, times, **lasting).tolist()
+    segments = held_segments(close & (speed > rule.moving_speed), staying, times, **lasting).tolist()
     # A put is a pick seen backwards in time, so one search serves both.
     n = len(times)
     samples = Track(times, centre, position, rotation, rule.moving_window)

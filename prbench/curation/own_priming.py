@@ -161,6 +161,4 @@ def prime_recording(recording: Recording, constants: CurationConstants) -> list[
     corners = np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
     times = np.array([event.event_time for event in events])
     names = [event.object_name for event in events]
-    return prime_events(
-        gaze_rays(recording, "eye"), corners, times, names, [event.action for event in events], constants
-    )
+    return prime_events(gaze_rays(recording, "eye"), corners, times, names, [each.action for each in events], constants)

@@ -95,9 +95,8 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
     if best is None:
         row = int(nearest_index(times, np.array([hint]))[0])
         best = _judged(recording, times, joints, int(np.argmax(moved)), row, True)
-    confidence = 1 - (1 - best.confidence) * (1 - _HINT_SHARE)
     reason = f"hint {best.time - hint:+.2f} s away; {best.reason}"
-    return Candidate(best.time, best.hand, round(confidence, 2), reason)
+    return Candidate(best.time, best.hand, round(1 - (1 - best.confidence) * (1 - _HINT_SHARE), 2), reason)
 
 
 def _relative_speed(times: Times, joints: Joints, wrist: int) -> Times:

@@ -96,9 +96,8 @@ def facing_yaw(joints: Float[np.ndarray, "22 3"]) -> float:
     Raises:
         ValueError: if hips and shoulders stand exactly above one another, so that no heading exists.
     """
-    across = (
-        joints[Joint.RIGHT_HIP] - joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_SHOULDER] - joints[Joint.LEFT_SHOULDER]
-    )
+    across = joints[Joint.RIGHT_HIP] - joints[Joint.LEFT_HIP]
+    across = across + joints[Joint.RIGHT_SHOULDER] - joints[Joint.LEFT_SHOULDER]
     forward_x = across[2]  # Y x across
     forward_z = -across[0]
     if np.hypot(forward_x, forward_z) < 1e-9:

@@ -108,9 +108,8 @@ class SequenceGrid:
 
 def stream_ranges(streams: Mapping[str, Float[np.ndarray, " _"] | None]) -> dict[str, tuple[float, float]]:
     """First and last time of each stream for :func:`require_overlap`; streams that are None or empty are left out."""
-    return {
-        name: (float(times[0]), float(times[-1])) for name, times in streams.items() if times is not None and len(times)
-    }
+    known = {name: times for name, times in streams.items() if times is not None and len(times)}
+    return {name: (float(times[0]), float(times[-1])) for name, times in known.items()}
 
 
 def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str) -> tuple[float, float]:

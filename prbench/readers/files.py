@@ -424,9 +424,8 @@ def must_exist(path: Source) -> Iterator[None]:
 
 def missing_file(path: Source) -> InputFileError:
     """Return the error for a required file that is not there."""
-    return InputFileError(
-        shown(path), "", expected="this file", found="no such file", remedy="Download the recording again."
-    )
+    remedy = "Download the recording again."
+    return InputFileError(shown(path), "", expected="this file", found="no such file", remedy=remedy)
 
 
 def read_triangles(path: Path, *, expected: str = "a mesh of triangles", remedy: str = "") -> Triangles:

@@ -71,9 +71,8 @@ def attached(recording: Recording, found: RecordingFiles) -> Recording:
     body, made = read_body(path)
     away = body.joints[body.valid, Joint.HEAD] - recording.head.pose_at(body.times[body.valid])[0]
     median = float(np.median(np.linalg.norm(away, axis=-1))) if len(away) else np.inf
-    require(
-        path, (median <= _FARTHEST, "joints", f"heads within {_FARTHEST:g} m of the glasses", f"{median:.2f} m", _AGAIN)
-    )
+    expected = f"heads within {_FARTHEST:g} m of the glasses"
+    require(path, (median <= _FARTHEST, "joints", expected, f"{median:.2f} m", _AGAIN))
     told += ("three-point body: " + ", ".join(f"{name} {text}" for name, text in sorted(made.items()) if text),)
     tilt = float(made.get("head_tilt_deg", _HEAD_TILT_DEG))
     return replace(recording, body=body, pose_source=THREE_POINT, head_tilt_deg=tilt, messages=told)

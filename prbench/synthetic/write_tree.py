@@ -285,9 +285,8 @@ def _write_recording(
         layout.write_estimates(performance, readings, root, noise=noise)
     for table, rows in own_tables(performance, rate=truth_rate).items():
         write_truth(rows, root, table, part=name)
-    summary = WrittenRecording(
-        name, performance.split, performance.duration, len(performance.events), len(performance.objects)
-    )
+    counts = (len(performance.events), len(performance.objects))
+    summary = WrittenRecording(name, performance.split, performance.duration, *counts)
     return summary, performance.world, shared_tables(performance, noise=noise)
 
 

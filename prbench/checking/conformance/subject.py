@@ -501,9 +501,8 @@ class Subject(MethodSubject):
     def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
         """Call the method once; whatever goes wrong is part of the answer."""
         of_one = "1 sequence" if len(batch) == 1 else f"{len(batch)} sequences"
-        self.asking(
-            f"while it generated {of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}"
-        )
+        frames = f"{of_one} of up to {int(batch.n_frames.max())} frames"
+        self.asking(f"while it generated {frames} under {batch.condition.value}")
         answer = ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
         self.drew_from.update(answer.drew_from)
         return answer

@@ -41,9 +41,8 @@ def examine_up_axis(motion_set: MotionSet) -> Finding | None:
     axis[nearest] = np.sign(up[nearest])
     angle = float(np.rad2deg(np.arccos(np.clip(up @ axis / length, -1, 1))))
     name = f"{'+' if up[nearest] > 0 else '-'}{'xyz'[nearest]}"
-    evidence = (
-        f"bodies (ankles to head) point along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}), {angle:.0f} degrees from {name}"
-    )
+    evidence = f"bodies (ankles to head) point along ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}),"
+    evidence += f" {angle:.0f} degrees from {name}"
     if name == "+y":
         if angle < _TILTED:
             return None

@@ -61,9 +61,8 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
     # A trajectory is written anew only where it has to change: turned to Z up, or without poses that are no poses.
     # Everything else keeps the bytes of the dataset.
     if inputs.turned is not None or trajectory.left_out:
-        down = -_GRAVITY * trajectory.up
         still = np.zeros((len(trajectory.time_us), 6))
-        columns = mps.trajectory_columns(trajectory, trajectory.graph_uids[0], down, still)
+        columns = mps.trajectory_columns(trajectory, trajectory.graph_uids[0], -_GRAVITY * trajectory.up, still)
         with atomic_path(place) as temporary, open(temporary, "wb") as file:
             write_table(file, pa.table(columns))
     else:
@@ -85,9 +84,8 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
     step = int(n / seconds // _FPS) if seconds > 0 else 0
     frames = math.ceil(n / step) - 1 if step else 0
     expected = f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames"
-    found = f"{n} poses in {seconds:.3f} s"
     remedy = "EgoAllo takes every int(rate / 30)-th pose and would take none."
-    require(inputs.found.folder, (frames >= 1, "trajectory", expected, found, remedy))
+    require(inputs.found.folder, (frames >= 1, "trajectory", expected, f"{n} poses in {seconds:.3f} s", remedy))
     return place, frames
 
 

@@ -152,7 +152,7 @@ def _sense_objects(
         track = performance.times[: len(motion.position)]
         rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
         centre = interpolate(track, motion.position, query)
-        position, rotation = centre - rotation.apply((0.0, motion.half_extents[1], 0.0)), rotation
+        position = centre - rotation.apply((0.0, motion.half_extents[1], 0.0))
         if motion.movable:
             size = (_OBJECT_NOISE, _OBJECT_TURN)
             position, rotation = tracked(sensing, motion.object_id, position, rotation, size=size, scale=scale)
@@ -313,9 +313,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         ranges = (gaze.yaw_range[:, 0], gaze.pitch_range[:, 0], gaze.yaw_range[:, 1], gaze.pitch_range[:, 1])
         names = (mps.YAW_RANGE[0], mps.PITCH_RANGE[0], mps.YAW_RANGE[1], mps.PITCH_RANGE[1])
         columns: dict[str, object] = {mps.TIME_COLUMN: gaze.time_us, mps.YAW: gaze.yaw, mps.PITCH: gaze.pitch}
-        aria.write_csv(
-            target / adt.GAZE_FILE, columns | {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True))
-        )
+        columns |= {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True))
+        aria.write_csv(target / adt.GAZE_FILE, columns)
         columns = {
             mps.OBJECT_ID: np.array([entry.object_id for entry in objects]),
             mps.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
@@ -338,10 +337,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
             write_bytes(target / f"{person.name}.json", msgspec.json.encode(content))
 
 
-def _instance(
-    instance_id: int, name: str, prototype: str, category: str, *, dynamic: bool, human: bool
-) -> dict[str, object]:
-    names = {"instance_id": instance_id, "instance_name": name, "prototype_name": prototype, "category": category}
+def _instance(uid: int, name: str, prototype: str, category: str, *, dynamic: bool, human: bool) -> dict[str, object]:
+    names = {"instance_id": uid, "instance_name": name, "prototype_name": prototype, "category": category}
     motion = {"category_uid": 0, "motion_type": "dynamic" if dynamic else "static"}
     kind = {"instance_type": "human" if human else "object", "rigidity": "deformable" if human else "rigid"}
     frame = {"up_vector": [0, 1, 0], "front_vector": [0, 0, 1]}

@@ -46,9 +46,8 @@ def recording_from_adt(
         StreamsDoNotOverlap: if glasses, gaze, objects and the wearer's body share no instant.
         InputFileError: if there is no pose of the glasses at all.
     """
-    expected = "poses of the glasses"
     remedy = "Copy or download the recording again."
-    require(readings.recording_id, (len(readings.glasses.time_us) != 0, "", expected, "none", remedy))
+    require(readings.recording_id, (len(readings.glasses.time_us) != 0, "", "poses of the glasses", "none", remedy))
     device = glasses_stream(readings.glasses)
     span = float(device.times[0]), float(device.times[-1])
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
@@ -90,9 +89,7 @@ def recording_from_adt(
     tolerance = adt.SAME_INSTANT
     ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
     ranges |= stream_ranges({"gaze": gaze.times, "body": None if suit is None else suit.times})
-    moving = [
-        track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
-    ]
+    moving = [track for track, each in zip(tracks, readings.objects, strict=True) if each.time_ns[0] != adt.STATIC_TIME]
     if moving:
         starts = [track.times[0] for track in moving]
         ends = [track.times[-1] for track in moving]

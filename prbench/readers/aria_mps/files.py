@@ -293,10 +293,8 @@ def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory
     kept = codes == names.index(graphs[0]) if graphs else np.zeros(len(codes), dtype=bool)
     native.require_poses(source, position, rotation, used=kept)
     expected = "at least one pose of the glasses"
-    require(
-        native.shown(source),
-        (kept.any(), "", expected, "none", "The recording has no ground truth; download it again."),
-    )
+    remedy = "The recording has no ground truth; download it again."
+    require(native.shown(source), (kept.any(), "", expected, "none", remedy))
     # Gravity is a constant of a world, so that the first row of the kept one tells it.
     down = gravity[kept][0]
     up = -down / np.linalg.norm(down)

@@ -169,9 +169,8 @@ class AriaTrajectory:
         if not self.left_out:
             return ()
         others = len(self.graph_uids) - 1
-        return (
-            f"{self.left_out} poses of the glasses without a world or in one of {others} other worlds are left out",
-        )
+        said = f"{self.left_out} poses of the glasses without a world or in one of {others} other worlds are left out"
+        return (said,)
 
 
 @dataclass(frozen=True)

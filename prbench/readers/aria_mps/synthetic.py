@@ -254,7 +254,6 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         columns |= {f"q{axis}_ecef_device": np.full(n, float(axis == "w")) for axis in "xyzw"}
         write_csv(slam / mps.TRAJECTORY_FILE, columns)
     if mps.CALIBRATION in wanted and readings.glasses_size is not None:
-        path = slam / mps.CALIBRATION_FILE
         first, last = readings.trajectory.time_us[[0, -1]]
         scale = _LARGE_GLASSES if readings.glasses_size == "DVT-L" else 1.0
         poses = {}
@@ -291,7 +290,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
             }
             for label in ("imu-right", "imu-left")
         ]
-        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        with atomic_path(slam / mps.CALIBRATION_FILE) as temporary, open(temporary, "wb") as file:
             for time_us in range(int(first), int(last) + 1, _CALIBRATION_STEP_US):
                 stamps = {"utc_timestamp_ns": -1, "tracking_timestamp_us": time_us}
                 record = {**stamps, "ImuCalibrations": imus, "CameraCalibrations": cameras}

@@ -62,9 +62,8 @@ def read_rest_joints(path: Path) -> Float[np.ndarray, "joints 3"]:
     path = path.expanduser()
     if not path.exists():
         raise missing_file(path)
-    archive = Archive(
-        path, remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read."
-    )
+    remedy = f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read."
+    archive = Archive(path, remedy=remedy)
     names = ("v_template", "J_regressor")
     archive.require(names)
     arrays = archive.load(names)

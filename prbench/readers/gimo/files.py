@@ -259,9 +259,7 @@ def open_route(found: listing.RecordingFiles, options: GimoOptions) -> str:
         lacking[route] = " and ".join(name for name, there in needs[route].items() if not there)
         if not lacking[route]:
             return route
-    expected = "a way to the joints: smplx or bvh"
     told = "; ".join(f"{route} lacks {what}" for route, what in lacking.items())
-    remedy = (
-        f"VPoser v1: {bodies.VPOSER_PAGE}; SMPL-X neutral: {bodies.SMPLX_PAGE} (options vposer_model and smplx_model)."
-    )
-    raise InputFileError(found.folder, "", expected=expected, found=told, remedy=remedy)
+    remedy = f"VPoser v1: {bodies.VPOSER_PAGE}; SMPL-X neutral: {bodies.SMPLX_PAGE}"
+    remedy += " (options vposer_model and smplx_model)."
+    raise InputFileError(found.folder, "", expected="a way to the joints: smplx or bvh", found=told, remedy=remedy)

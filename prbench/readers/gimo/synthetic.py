@@ -173,9 +173,8 @@ def _crossings(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high:
 
 def _sense_poses(sensing: Sensing, frames: np.ndarray, times: np.ndarray, body_from_room: Transform) -> gimo.SmplxPoses:
     performance = sensing.performance
-    pelvis = transform_points(
-        body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
-    )
+    pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
+    pelvis = transform_points(body_from_room, pelvis)
     noise = sensing.generator("fit-noise").normal(0.0, _ROOT_NOISE, pelvis.shape)
     pelvis = pelvis + noise * sensing.strength("body_noise")
     turned = slerp(performance.times, performance.rotations[:, Joint.PELVIS], times)
@@ -268,10 +267,9 @@ def pickled_tensors(values: Mapping[str, np.ndarray], *, requires_grad: Collecti
         raw = torch.empty(0, dtype=torch.float32).set_(storage._untyped_storage).numpy().astype("<f4").tobytes()
         return _load_from_bytes, (_storage_head(len(raw) // 4) + raw,)
 
-    tensors = {
-        name: torch.tensor(array, dtype=torch.float32, requires_grad=name in requires_grad)
-        for name, array in values.items()
-    }
+    tensors = {}
+    for name, array in values.items():
+        tensors[name] = torch.tensor(array, dtype=torch.float32, requires_grad=name in requires_grad)
     buffer = io.BytesIO()
     pickler = pickle.Pickler(buffer, protocol=4)
     pickler.dispatch_table = copyreg.dispatch_table | {TypedStorage: reduced}
@@ -332,9 +330,8 @@ def _write_below(readings: gimo.GimoReadings, root: Path) -> None:
     """Write one folder a sequence, in the folder of its scene."""
     segment = readings.segment
     write_sequence(readings, root / segment.scene / segment.sequence)
-    norm = root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE
     rows = [" ".join(repr(value) for value in row) for row in readings.transform.room_from_scene.tolist()]
-    write_text(norm, "\n".join(rows) + "\n")
+    write_text(root / segment.scene / gimo.SCENE_FOLDER / gimo.NORM_FILE, "\n".join(rows) + "\n")
     events = [[event.frame, event.hand] for event in readings.events]
     write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", {"segment": asdict(segment), "events": events})
 

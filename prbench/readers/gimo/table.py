@@ -86,13 +86,12 @@ def read_segments(path: Path) -> tuple[tuple[Row, ...], list[UnreadableEntry]]:
         numbers = {name: _whole(values[name]) for name in ("start_frame", "end_frame", "training")}
         start, end, training = numbers.values()
         expected = "training 1 (train), 0 (test) or 2 (train, but unused by the official loader)"
-        frames = "a start_frame that is not behind the end_frame"
         texts = ("scene", "sequence_path", "transformation")
         require(
             path,
             *((numbers[name] >= 0, "", f"a whole number '{name}'", f"'{values[name]}'", "") for name in numbers),
             *((values[name] != "", "", f"a '{name}'", "nothing", "") for name in texts),
-            (start <= end, "", frames, f"{start} to {end}", ""),
+            (start <= end, "", "a start_frame that is not behind the end_frame", f"{start} to {end}", ""),
             (training in gimo.PUBLISHED_SPLITS, "", expected, training, ""),
         )
         hint = _whole(cells[gimo.HINT_INDEX]) if has_hints and len(cells) > gimo.HINT_INDEX else -1

@@ -93,9 +93,8 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[streams.Body
     wanted = readings.segment.frames
     joints, valid = filled(frames, local, wanted, longest=round(manifest.thresholds["longest_filled_gap"]))
     if missing := len(wanted) - len(frames):
-        remarks.append(
-            f"{missing} of {len(wanted)} frames have no pose, {int((~valid).sum())} in gaps too long to fill"
-        )
+        in_gaps = int((~valid).sum())
+        remarks.append(f"{missing} of {len(wanted)} frames have no pose, {in_gaps} in gaps too long to fill")
     in_room = transform_points(readings.transform.room_from_body(), joints)
     return streams.BodyStream(wanted / gimo.FRAME_RATE, in_room, valid), remarks
 

@@ -120,9 +120,8 @@ def read_tracks(associations: Path, masks: Path | None, video: str) -> Movements
     unreadable += odd
     shown = {}
     if masks is not None:
-        forms, odd = read_entries(
-            masks, listed or {}, msgspec.json.Decoder(_Mask).decode, "a mask with frame_number and 3d_location"
-        )
+        decode = msgspec.json.Decoder(_Mask).decode
+        forms, odd = read_entries(masks, listed or {}, decode, "a mask with frame_number and 3d_location")
         unreadable += odd
         shown = {
             key: hd_epic.ObjectMask(key, int(mask.frame_number), _point(mask.location)) for key, mask in forms.items()
@@ -280,9 +279,8 @@ def count_annotations(
     by_participant = {person: dict(own) for person, own in sorted(people.items())}
     totals = dict(sum(people.values(), Counter())) | {"participants": len(people)}
     priming_counts = {action: dict(own) for action, own in outcomes.items()} if priming is not None else {}
-    return AnnotationCounts(
-        totals, by_participant, published, priming_counts, tuple(unreadable), tuple(remarks), tuple(examples)
-    )
+    told = (tuple(unreadable), tuple(remarks), tuple(examples))
+    return AnnotationCounts(totals, by_participant, published, priming_counts, *told)
 
 
 def participant_of(video: str) -> str:

@@ -96,9 +96,7 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
     listed = next((file.path for file in annotated if file.role == ASSOCIATIONS), None)
     if listed is not None and (options.events_only or not videos):
         reason = None if options.events_only else _ANNOTATIONS_ALONE
-        places = {
-            each: videos.get(each, annotating.participant_of(each)) for each in annotating.annotated_videos(listed)
-        }
+        places = {key: videos.get(key, annotating.participant_of(key)) for key in annotating.annotated_videos(listed)}
         named = ((dataset, video, folder / place, tuple(annotated)) for video, place in places.items())
         return tuple(RecordingFiles(*each, skip_reason=reason) for each in named)
     require(root, (len(videos) > 0, "", expected, names_in(root), remedy))

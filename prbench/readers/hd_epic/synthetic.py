@@ -117,10 +117,9 @@ def sense_video_clock(sensing: Sensing) -> hd_epic.VideoClock:
     scale = sensing.strength("video_clock")
     rng = sensing.generator("video-clock")
     jitter = rng.uniform(-_CLOCK_JITTER_NS, _CLOCK_JITTER_NS, n) * scale
-    image = np.arange(n)
     repeated = rng.random(n) < _REPEATED * scale
     skipped = rng.random(n) < _SKIPPED * scale
-    shown = np.maximum.accumulate(np.clip(image - repeated + skipped, 0, n - 1))
+    shown = np.maximum.accumulate(np.clip(np.arange(n) - repeated + skipped, 0, n - 1))
     since_start = np.rint(np.arange(n) * 1e9 / hd_epic.FPS + jitter).astype(np.int64)
     return hd_epic.VideoClock(device_start_us(sensing.performance) * 1000 + since_start[shown])
 
@@ -173,9 +172,8 @@ def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent
     lost = rng.random(2) < _MISSING * sensing.strength("mask_losses")
     has_middle, is_reversed = rng.random(2) < (_MIDDLE_MASK, _REVERSED)
     masks = []
-    for side, seconds, event, offset, missing in zip(
-        ("start", "end"), (track.start, track.end), ends, points, lost, strict=True
-    ):
+    sides = zip(("start", "end"), (track.start, track.end), ends, points, lost, strict=True)
+    for side, seconds, event, offset, missing in sides:
         if not missing:
             frame = round(seconds * hd_epic.FPS)
             place = np.round(transform_points(egoallo.NATIVE_FROM_WORLD, event.goal + offset), _METRES)

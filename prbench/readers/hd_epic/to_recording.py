@@ -173,9 +173,8 @@ def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, farthest: floa
     """Return both sides of a movement, without a mask that does not show them, and with the reason."""
     frames = np.array([track.start, track.end]) * hd_epic.FPS
     sides = []
-    for is_start, frame, mask, inside in zip(
-        (True, False), frames, masks_of_sides(track), clock.covers(frames), strict=True
-    ):
+    masks = masks_of_sides(track)
+    for is_start, frame, mask, inside in zip((True, False), frames, masks, clock.covers(frames), strict=True):
         unplaced = ""
         if not inside or (mask is not None and mask.frame >= len(clock.device_ns)):
             mask = None

@@ -212,9 +212,8 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
             stands still (a repeated row) or runs backwards.
     """
     poses = read_poses_by_body(path, str)
-    expected = "rows of poses"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
-    require(path, (poses, "", expected, "none", remedy))
+    require(path, (poses, "", "rows of poses", "none", remedy))
     return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
@@ -275,10 +274,8 @@ def read_mask(path: Path) -> tuple[hot3d.Mask, list[UnreadableEntry]]:
     values = table[hot3d.MASK].to_numpy()
     streams = table[hot3d.STREAM].to_numpy()
     known = np.isin(values, list(_TRUTH))
-    odd = [
-        UnreadableEntry(path.name, f"line {row + 2}", "True or False", f"'{values[row]}'")
-        for row in np.flatnonzero(~known)
-    ]
+    rows = np.flatnonzero(~known)
+    odd = [UnreadableEntry(path.name, f"line {row + 2}", "True or False", f"'{values[row]}'") for row in rows]
     rgb = known & (streams == hot3d.RGB_STREAM)
     time_ns, first = np.unique(table[OBJECT_TIME].to_numpy()[rgb], return_index=True)
     good = np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first]

@@ -125,9 +125,8 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
     with native.must_exist(path), open_regular(path) as file:
         numbered = enumerate(whole_lines(file, path), start=1)
         entries = {f"line {number}": line for number, line in numbered if line.strip()}
-    lines, odd = native.read_entries(
-        path, entries, msgspec.json.Decoder(_UmeTrackLine).decode, "timestamp_ns and hand_poses"
-    )
+    decode = msgspec.json.Decoder(_UmeTrackLine).decode
+    lines, odd = native.read_entries(path, entries, decode, "timestamp_ns and hand_poses")
     unreadable = native.told_together(odd)
     expected = "hand poses, one JSON object a line"
     remedy = "metadata.json says that this ground truth is there; download the recording again."
@@ -136,9 +135,7 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], list[Unreadab
     native.require_increasing(path, times, unit="ns", place="record", first=1)
     hands = []
     for side, key in hot3d.HAND_KEYS.items():
-        seen = {
-            f"{place}, {side} hand": line.hand_poses[key] for place, line in lines.items() if key in line.hand_poses
-        }
+        seen = {f"{place}, {side} hand": row.hand_poses[key] for place, row in lines.items() if key in row.hand_poses}
         expected = f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1"
         poses, odd = native.read_entries(path, seen, msgspec.json.Decoder(_UmeTrackHand).decode, expected)
         unreadable += native.told_together(odd)
@@ -164,10 +161,9 @@ def read_profile(path: Path) -> hot3d.HandModel:
     require(path, ("hand_model" in profile, "", "the key 'hand_model'", "an empty object", "Download it again."))
     model = profile["hand_model"]
     for row, weights in enumerate(model.dense_bone_weights):
-        expected = f"{N_BONES} numbers that sum to 1"
         found = f"{len(weights)} that sum to {sum(weights):g}"
         is_fine = len(weights) == N_BONES and abs(sum(weights) - 1) <= 1e-3
-        require(path, (is_fine, f"dense_bone_weights, row {row}", expected, found, ""))
+        require(path, (is_fine, f"dense_bone_weights, row {row}", f"{N_BONES} numbers that sum to 1", found, ""))
     vertices = max(len(model.mesh_vertices), 1)
     for name, rows in (
         ("dense_bone_weights", vertices),

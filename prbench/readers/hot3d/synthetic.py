@@ -279,10 +279,8 @@ def _native_rows(
 ) -> hot3d.PoseRows:
     """Return those poses that were seen, in the native world, rounded."""
     turned = Rotation.from_matrix(egoallo.NATIVE_FROM_WORLD[:3, :3]) * rotation
-    quaternion = turned.as_quat(canonical=True, scalar_first=True)
-    return hot3d.PoseRows(
-        time_ns[seen], np.round(z_up(position), _METRES)[seen], np.round(quaternion, _QUATERNION)[seen]
-    )
+    turns = turned.as_quat(canonical=True, scalar_first=True)
+    return hot3d.PoseRows(time_ns[seen], np.round(z_up(position), _METRES)[seen], np.round(turns, _QUATERNION)[seen])
 
 
 _HEADSET_UID = "100000000000001"
@@ -433,11 +431,8 @@ def profile(model: HandModel) -> dict[str, object]:
     assert model.landmarks is not None  # as invented
     assert model.landmark_weights is not None
     assert model.triangles is not None
-    points = {
-        "joint_rest_positions": model.joint_positions,
-        "landmark_rest_positions": model.landmarks,
-        "mesh_vertices": model.vertices,
-    }
+    points = {"joint_rest_positions": model.joint_positions, "landmark_rest_positions": model.landmarks}
+    points["mesh_vertices"] = model.vertices
     content = {
         "dense_bone_weights": model.weights.tolist(),
         "hand_scale": 1.0,

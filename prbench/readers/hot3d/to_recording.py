@@ -143,9 +143,8 @@ def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: 
         middle = (lowest + highest) / 2
         half = (highest - lowest) / 2
     if 2 * half > _LARGEST_WIDTH_NS:
-        raise RecordingUnusable(
-            f"{recording}: the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
-        )
+        said = f"the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
+        raise RecordingUnusable(f"{recording}: {said}")
     return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), len(headset.time_ns))
 
 
@@ -329,13 +328,12 @@ def object_track(
     position = y_up(entry.rows.position[kept])
     turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
     rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
-    valid = good[kept]
     # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
     gaps = np.flatnonzero(np.diff(times) > longest_gap)
     vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh[0]
     times = np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else [])
     position, rotation = (np.insert(rows, gaps + 1, rows[gaps], axis=0) for rows in (position, rotation))
-    poses = (times, position, rotation, np.insert(valid, gaps + 1, False))
+    poses = (times, position, rotation, np.insert(good[kept], gaps + 1, False))
     box = (vertices.min(axis=0), vertices.max(axis=0))
     surface = entry.mesh if meshes else None
     return ObjectTrack(entry.object_id, entry.name, entry.name, *poses, *box, movable=True, surface=surface)

@@ -133,9 +133,7 @@ def _number_attribute(path: Path, entry: h5py.Dataset, name: str) -> Float[np.nd
 
 def _words(values: np.ndarray | Sequence[object]) -> list[str]:
     """Return the texts, whether the file holds them as bytes (padded or not) or as strings."""
-    return [
-        value.decode("utf-8", "replace").rstrip("\0") if isinstance(value, bytes) else str(value) for value in values
-    ]
+    return [each.decode("utf-8", "replace").rstrip("\0") if isinstance(each, bytes) else str(each) for each in values]
 
 
 @foreign_input()
@@ -393,10 +391,8 @@ def _read_segments(path: Path) -> tuple[tuple[mogaze.Segment, ...], list[Unreada
     where = f"dataset '{mogaze.SEGMENT_DATASET}'"
     require(path, (len(names) >= 3, where, "rows of start, end and label", rows.dtype, _OTHER_FILE))
     start, end, label = (rows[name].tolist() for name in names[:3])
-    entries = {
-        f"{mogaze.SEGMENT_DATASET}[{number}]": row
-        for number, row in enumerate(zip(start, end, _words(label), strict=True))
-    }
+    rows = zip(start, end, _words(label), strict=True)
+    entries = {f"{mogaze.SEGMENT_DATASET}[{number}]": row for number, row in enumerate(rows)}
     segments, unreadable = read_entries(path, entries, _segment, "two frames and a label")
     return tuple(segments.values()), unreadable
 

@@ -359,6 +359,4 @@ def _finish(root: Path) -> None:
 
 
 # The clock starts at 0 with the first frame, and objects keep their ids.
-LAYOUT = Layout(
-    "mogaze", sense, recording_from_mogaze, _write_below, events, lambda _: 0.0, str, GAZE_BIAS, finish=_finish
-)
+LAYOUT = Layout("mogaze", sense, recording_from_mogaze, _write_below, events, lambda _: 0.0, str, GAZE_BIAS, _finish)

@@ -182,9 +182,8 @@ def _events(
     if "objects" in readings.tables:
         listed = readings.tables["objects"].columns
         names |= {key: name or key for key, name in zip(listed["object_id"].tolist(), listed["name"].tolist())}
-    first, last = (
-        np.add(recording.span, (-SEVERAL_SENSORS, SEVERAL_SENSORS)) if np.ptp(recording.span) else (-np.inf, np.inf)
-    )
+    slack = SEVERAL_SENSORS if np.ptp(recording.span) else np.inf
+    first, last = np.add(recording.span, (-slack, slack))
 
     def read_event(entry: tuple[str, Mapping[str, str]]) -> streams.AnnotatedEvent:
         key, row = entry

@@ -52,9 +52,8 @@ def act_out(preset: Preset, script: scripts.Script, rate: float, rng: np.random.
         if isinstance(move, scripts.Arc):
             duration = move.end - move.begin
             elapsed = (times[first:] - move.begin) / duration
-            progress = eased_trapezoid(
-                elapsed, min(scripts.ARC_START / duration, 0.45), min(scripts.ARC_STOP / duration, 0.5)
-            )
+            easing = (min(scripts.ARC_START / duration, 0.45), min(scripts.ARC_STOP / duration, 0.5))
+            progress = eased_trapezoid(elapsed, *easing)
             x[first:], z[first:], heading[first:] = move.at(progress)
         else:
             part = sample_base(move.start, (move,), times)

@@ -176,9 +176,8 @@ class ScriptWriter:
 
     def ahead(self, distance: float, heading: float) -> BasePose:
         """Return a place in some direction, facing that way."""
-        return BasePose(
-            self.base.x + distance * float(np.sin(heading)), self.base.z + distance * float(np.cos(heading)), heading
-        )
+        x = self.base.x + distance * float(np.sin(heading))
+        return BasePose(x, self.base.z + distance * float(np.cos(heading)), heading)
 
     def curve(self, length: float, turn: float, pace: float) -> Arc:
         """Walk along an arc."""
@@ -226,9 +225,8 @@ class ScriptWriter:
 
     def before_chest(self, up: float, forward: float, left: float = 0.0) -> np.ndarray:
         """Return a point of the world before the person; fractions of the stature, ``up`` from the eyes."""
-        return self.eye + self.stature * (
-            up * np.array([0.0, 1.0, 0.0]) + forward * self.base.forward + left * self.base.left
-        )
+        offset = up * np.array([0.0, 1.0, 0.0]) + forward * self.base.forward + left * self.base.left
+        return self.eye + self.stature * offset
 
     def reach(self, hand: int, wrist: np.ndarray, begin: float, duration: float, stay: float) -> float:
         """Bring a wrist to a point of the world and back, bending as far as needed; returns when the hand is back."""
@@ -288,9 +286,8 @@ def _walk_carrying(writer: ScriptWriter) -> None:
 def _turn_around(writer: ScriptWriter) -> None:
     """Turn on the spot."""
     angle = writer.side() * writer.draw(0.55, 3.0)
-    heading = writer.base.heading + angle
     writer.look(writer.now - 0.1, writer.now + 0.9, float(np.clip(angle, -1.4, 1.4)), 0.1)
-    writer.did("turn", writer.go(replace(writer.base, heading=heading), 1.0, 1.5))
+    writer.did("turn", writer.go(replace(writer.base, heading=writer.base.heading + angle), 1.0, 1.5))
 
 
 def stand(writer: ScriptWriter) -> None:

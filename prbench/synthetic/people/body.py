@@ -55,7 +55,6 @@ def move_head(
     """
     habits = plan.person.habits
     frame_time = float(times[1] - times[0])
-    rate = 1.0 / (times[1] - times[0])
     # Each command is one head movement: towards a point until the fixation ends, then frozen relative to the heading.
     # It holds its first frame, start and duration, and the target (yaw against the heading, pitch) of the frames until
     # it is frozen.
@@ -117,7 +116,7 @@ def move_head(
         for command in commands:
             obey(channel, *command)
     tremor = np.stack([kinematics.wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
-    steady = kinematics.smooth(channel, 0.030, rate) + tremor
+    steady = kinematics.smooth(channel, 0.030, 1.0 / (times[1] - times[0])) + tremor
     return Head(heading + steady[:, 0], steady[:, 1])
 
 
@@ -143,9 +142,8 @@ def move_eyes(looks: tuple[Look, ...], head: Head, eye: Points, times: Signal, r
         yaw = np.unwrap(yaw)
         yaw += kinematics.wrap(yaw[0] - head.yaw[first]) + head.yaw[first] - yaw[0]
         target = np.stack([yaw, pitch], axis=-1) + drift[first:last]
-        amplitude = float(np.rad2deg(np.hypot(*(target[0] - gaze[first]))))
         # 21 ms and 2.2 ms a degree: the duration of saccades grows linearly with their amplitude.
-        saccade = 0.021 + 0.0022 * amplitude
+        saccade = 0.021 + 0.0022 * float(np.rad2deg(np.hypot(*(target[0] - gaze[first]))))
         progress = kinematics.minimum_jerk((times[first:last] - look.start) / saccade)[:, None]
         blended = np.where(progress < 1.0, gaze[first:last] + progress * (target - gaze[first:last]), target)
         gaze[first:last] = np.clip(blended, low[first:last], high[first:last])
@@ -196,14 +194,13 @@ def draw_sway(plan: Plan, base: BasePath, steps: Steps, times: np.ndarray, rng: 
     if plan.preset.work_pose is None:
         size, low, high = float(rng.uniform(0.006, 0.010)), 0.05, 0.5
     waves = [kinematics.wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
-    hand_wobble = np.stack(waves, axis=-1).reshape(times.size, 2, 3)
     return Sway(
         lateral=kinematics.smooth(lateral, 0.060, rate) + kinematics.wobble(times, 0.006, 0.05, 0.4, rng),
         forward=kinematics.wobble(times, 0.005, 0.05, 0.5, rng),
         lean=_LEAN_PER_SPEED * kinematics.smooth(base.speed, 0.10, rate)
         + kinematics.wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
         arm_swing=kinematics.smooth(swing, 0.060, rate),
-        hands=hand_wobble,
+        hands=np.stack(waves, axis=-1).reshape(times.size, 2, 3),
     )
 
 
@@ -222,9 +219,8 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
     for reach, posture in zip(plan.reaches, postures, strict=True):
         begin = reach.reach_start - 0.1
         end = reach.event - 0.05
-        kinematics.blend(
-            channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn])
-        )
+        bent = np.array([posture.lean, posture.crouch, posture.chest_turn])
+        kinematics.blend(channels, times, begin, end - begin, bent)
         if np.isfinite(reach.dwell):
             release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
             kinematics.blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))
@@ -258,9 +254,8 @@ def move_trunk(
         chest = kinematics.two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
         share = habits.pelvis_share + 0.3 * max(0.0, extra)
         chest_follow = _soft_clip(chest, _CHEST_LIMIT)
-        pelvis_follow = _soft_clip(
-            kinematics.two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate), _PELVIS_LIMIT
-        )
+        hips = kinematics.two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate)
+        pelvis_follow = _soft_clip(hips, _PELVIS_LIMIT)
     pelvis_yaw = base.heading + pelvis_follow + 0.3 * bending.chest_turn + _PELVIS_SWING * sway.arm_swing
     chest_yaw = base.heading + chest_follow + 0.5 * bending.chest_turn - _CHEST_SWING * sway.arm_swing
     lean = bending.lean + sway.lean
@@ -364,9 +359,8 @@ def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarra
     """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
     kinematics.blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
-    kinematics.add_bump(
-        wrist, times, reach.reach_start, duration, _HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward
-    )
+    hump = _HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward
+    kinematics.add_bump(wrist, times, reach.reach_start, duration, hump)
 
 
 def moved_along(reach: Reach, point: Float[np.ndarray, "3"], times: Signal) -> Points:

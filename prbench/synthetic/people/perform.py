@@ -158,9 +158,8 @@ def _segment_rotations(
     hips = np.stack(trunk.hips, axis=1)
     shoulders = np.stack(trunk.shoulders, axis=1)
     turned = np.empty((len(head), N_JOINTS, 4))
-    for joint, yaw, pitch in zip(
-        (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk.yaws, trunk.pitches, strict=True
-    ):
+    spine = (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3)
+    for joint, yaw, pitch in zip(spine, trunk.yaws, trunk.pitches, strict=True):
         turned[:, joint] = rotation_quaternion(yaw, pitch)
     turned[:, Joint.NECK] = neck
     turned[:, Joint.HEAD] = head
@@ -270,9 +269,8 @@ def _look(
     shifts = source.generator("recording", index, "repair")
     gaze = np.empty((0, 3))
     for left in reversed(range(_REPAIRS + 1)):
-        gaze = bodies.move_eyes(
-            gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye")
-        )
+        rng = source.generator("recording", index, "eye")
+        gaze = bodies.move_eyes(gaze_plan.looks, motion.head, motion.eye, times, rng)
         better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
         if better is gaze_plan:
             break

@@ -141,9 +141,8 @@ def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body
     leg, arm, shoulders, trunk = (
         1.0 + sd * float(np.clip(rng.standard_normal(), -2.7, 2.7)) for sd in (0.03, 0.03, 0.05, 0.025)
     )
-    up = preset.spine_up
     forward = (-0.010, 0.004, 0.002)
-    spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(up, forward, strict=True)]
+    spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(preset.spine_up, forward, strict=True)]
     spine.append(_scaled(preset.neck_offset, trunk * stature))
     hip = _scaled((0.036 * shoulders, -0.048, -0.006), stature)
     thigh_to_foot = (0.2252 * leg * stature, 0.2466 * leg * stature, 0.036 * stature, 0.076 * stature)

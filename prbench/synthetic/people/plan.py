@@ -409,9 +409,8 @@ class _Planner:
         where = (goal.surface, goal.centre, stand.yaw, world_half_extents(goal.half_extents, stand.yaw))
         posture = (stand.base, stand.grasp, stand.posture)
         times = (motor_start, reach_start, event - 0.04, event, _DWELL[action])
-        carries = action == "pick" and self.preset.puts
         changed = self._draw_provocation(action, tag, goal, stand, event)
-        return Reach(*what, *where, *posture, *times, carries, **changed)
+        return Reach(*what, *where, *posture, *times, action == "pick" and self.preset.puts, **changed)
 
     def _tag_of(self, action: Action) -> str:
         """Return the tag that a movement itself carries."""

@@ -238,9 +238,8 @@ class Reachability:
         bent_low = None
         for place in self._places(base, at_surface, goal, hand):
             # Whoever works along one table keeps facing it.
-            segment = plan_segment(
-                self.person.habits, self.preset.speed, base, place, begin, faces_on=self.preset.table_only
-            )
+            habits = self.person.habits
+            segment = plan_segment(habits, self.preset.speed, base, place, begin, faces_on=self.preset.table_only)
             here = base if segment is None else segment.goal
             if not self.is_seated and np.hypot(goal.centre[0] - here.x, goal.centre[2] - here.z) < _NEAREST:
                 break

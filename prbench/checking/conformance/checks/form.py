@@ -107,10 +107,8 @@ def weights(subject: MethodSubject) -> Iterator[Finding]:
     named = {}
     if subject.is_program:
         # The handshake has checked the form of the hello, which names the weights of a program.
-        named = {
-            key.value: f"{each.name} ({each.sha256[:12]})"
-            for key, each in getattr(subject.adapter, "weights", {}).items()
-        }
+        weights = getattr(subject.adapter, "weights", {})
+        named = {key.value: f"{each.name} ({each.sha256[:12]})" for key, each in weights.items()}
     elif callable(getattr(subject.adapter, "weights_for", None)):
         for condition in subject.conditions:
             try:
