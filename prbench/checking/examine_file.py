@@ -96,10 +96,9 @@ def examine_file(request: DoctorRequest) -> DoctorReport:
     if not compared and (request.data or request.conditions):
         shown = ", ".join(f"'{quoted(name)}'" for name in names[:2])
         places_given = ", ".join(map(str, (*request.data, *filter(None, [request.conditions]))))
-        raise UsageError(
-            f"none of the {len(names)} motions is of {places_given}: they are named {shown} … Give them a column"
-            " sequence_id or opaque_id (with the right --seed), or leave --data and --conditions out."
-        )
+        said = f"none of the {len(names)} motions is of {places_given}: they are named {shown} …"
+        remedy = "Give them a column sequence_id or opaque_id (with the right --seed)"
+        raise UsageError(f"{said} {remedy}, or leave --data and --conditions out.")
     rates = {each.fps for each in expected if each.fps is not None}
     fps = request.fps or (rates.pop() if len(rates) == 1 else _DEFAULT_FPS)
     shapes = tuple(dict.fromkeys(str(motion.shape) for motion in motions))[:5]

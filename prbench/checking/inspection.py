@@ -271,8 +271,5 @@ def _inspect(
 def missing_files(recording: RecordingFiles, roles: Mapping[str, str]) -> tuple[str, ...]:
     """Return the files that a recording lacks of those that a manifest requires or wants, by its names for them."""
     present = [file.role for file in recording.files]
-    return tuple(
-        name
-        for patterns, name in roles.items()
-        if not any(fnmatch.filter(present, pattern) for pattern in patterns.split("|"))
-    )
+    lacking = {key for key in roles if not any(fnmatch.filter(present, pattern) for pattern in key.split("|"))}
+    return tuple(name for patterns, name in roles.items() if patterns in lacking)

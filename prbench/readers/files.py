@@ -219,10 +219,8 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
         kept.append(block)
         size += block.nbytes
         found = f"more in the first {sum(map(len, kept)):,} rows"
-        bounded.require(
-            shown(path),
-            (size <= limits.LARGEST_TABLE, "", f"columns of at most {limits.LARGEST_TABLE:,} bytes", found, ""),
-        )
+        expected = f"columns of at most {limits.LARGEST_TABLE:,} bytes"
+        bounded.require(shown(path), (size <= limits.LARGEST_TABLE, "", expected, found, ""))
     return pa.concat_tables(kept).combine_chunks()
 
 

@@ -182,9 +182,8 @@ def _map_fields(
         said = [f"{canonical}={name}" for canonical, name in mapping.items()]
         for canonical in (*absent, *unclear):
             # A proposal for the command line only: the user decides.
-            proposed = fitting.get(canonical) or [
-                name for name, found in values.items() if name not in mapping.values() and _fits(canonical, found)
-            ]
+            free = [name for name in values if name not in mapping.values() and _fits(canonical, values[name])]
+            proposed = fitting.get(canonical) or free
             said.append(f"{canonical}={proposed[0] if proposed else 'NAME'}")
         texts = {name: json.dumps(found[0], ensure_ascii=False) for name, found in values.items()}
         shown = [f"{quoted(name, longest=60)} ({quoted(text, longest=40)})" for name, text in texts.items()]

@@ -193,10 +193,9 @@ def examine_finite(motion_set: MotionSet) -> Finding | None:
     good = [np.flatnonzero(~(one | other)) for one, other in zip(broken, empty, strict=True)]
     rows = [row for row in range(len(motion_set)) if good[row].size]
     motions = [motion_set.motions[row] for row in rows]
-    mended = [
-        on_straight_lines(motion[good[row]], good[row], np.arange(good[row][-1] + 1))
-        for row, motion in zip(rows, motions, strict=True)
-    ]
+    mended = []
+    for row, motion in zip(rows, motions, strict=True):
+        mended.append(on_straight_lines(motion[good[row]], good[row], np.arange(good[row][-1] + 1)))
     rest = motion_set.only(rows).with_motions(mended)
     if [len(motion) for motion in motions] != [len(motion) for motion in mended]:
         rest = rest.without_lengths()

@@ -226,10 +226,9 @@ def examine_frame_rate(motion_set: MotionSet) -> Finding | None:
     error = 0.93 * spread / np.sqrt(len(logs))
     if abs(np.log(ratio)) - _ERRORS * error < _OFF:
         return None
-    evidence = (
-        f"the step from frame 0 to 1 goes on in the direction of the initial velocity and is {ratio:.2f} times as long"
-        f" (median of {len(logs)} starts in movement, middle half within {np.exp(spread / 2):.2f} times)"
-    )
+    evidence = f"the step from frame 0 to 1 goes on in the direction of the initial velocity and is {ratio:.2f} times"
+    evidence += f" as long (median of {len(logs)} starts in movement, middle half within"
+    evidence += f" {np.exp(spread / 2):.2f} times)"
     made = f"{motion_set.fps / ratio:.3g} frames a second shown at {motion_set.fps:g}"
     cause = f"motions are played too {'fast' if ratio > 1 else 'slowly'}: they look like {made}"
     return Finding((Diagnosis("frame-rate", len(logs) >= _ENOUGH, evidence, cause, _AT_RATE),), motion_set)

@@ -87,10 +87,9 @@ def _exchanged_pairs(motion_set: MotionSet, distances: tuple[np.ndarray, np.ndar
     if after > min(before - _GAIN, _FITS):
         return None
     names = " and ".join(part for part, swap in zip(_PARTS, crossed, strict=True) if swap)
-    evidence = (
-        f"left and right of {names} lie the other way round than the hips (agreement {agreement[crossed].min():.2f}; 1"
-        f" is full); exchanged, bones miss people's lengths by {after:.1%} instead of {before:.1%}"
-    )
+    evidence = f"left and right of {names} lie the other way round than the hips (agreement"
+    evidence += f" {agreement[crossed].min():.2f}; 1 is full); exchanged, bones miss people's lengths by {after:.1%}"
+    evidence += f" instead of {before:.1%}"
     cause = f"left and right of {names} are exchanged, the others are not"
     found = Diagnosis("joint-order", True, evidence, cause, f"Exchange them: joints[:, {index}].")
     return Finding((found,), motion_set.changed(lambda motion: motion[:, index]))
@@ -121,10 +120,8 @@ def examine_left_right(motion_set: MotionSet) -> Finding | None:
     by_shoulders = float(measures.sidedness(poses, "SHOULDER").mean())
     if by_hips > _WRONG_SIDE and by_shoulders > _WRONG_SIDE:
         return None
-    evidence = (
-        "where toes, knees and head point has a mean cosine of"
-        f" {by_hips:+.2f} with the front that left and right hip give, {by_shoulders:+.2f} with that of the shoulders"
-    )
+    evidence = f"where toes, knees and head point has a mean cosine of {by_hips:+.2f} with the front that left and"
+    evidence += f" right hip give, {by_shoulders:+.2f} with that of the shoulders"
     # Hips and shoulders disagree: only the arms or only the legs are exchanged.
     if by_hips * by_shoulders < 0:
         if _agreement_with_hips(motion_set)[_ARMS].mean() > _WRONG_SIDE:
@@ -162,11 +159,8 @@ def examine_left_right(motion_set: MotionSet) -> Finding | None:
 
 def _is_mirrored(motion_set: MotionSet) -> tuple[bool | None, str]:
     """Return True for a mirrored world, False for exchanged names, None if no initial pose tells; and the reason."""
-    pairs = [
-        (motion[0], known.initial_joints)
-        for motion, known in zip(motion_set.motions, motion_set.expected, strict=True)
-        if known.initial_joints is not None
-    ]
+    both = zip(motion_set.motions, motion_set.expected, strict=True)
+    pairs = [(motion[0], known.initial_joints) for motion, known in both if known.initial_joints is not None]
     if not pairs:
         return None, ""
     first, initial = (np.stack(poses) for poses in zip(*pairs, strict=True))

@@ -202,9 +202,8 @@ def front(poses: np.ndarray) -> np.ndarray:
     head = poses[:, Joint.HEAD] - poses[:, Joint.NECK]
     cue = np.zeros_like(head) + head
     for side in ("LEFT", "RIGHT"):
-        hip, knee, ankle, foot, shoulder, elbow, wrist = (
-            poses[:, Joint[f"{side}_{part}"]] for part in ("HIP", "KNEE", "ANKLE", "FOOT", "SHOULDER", "ELBOW", "WRIST")
-        )
+        parts = ("HIP", "KNEE", "ANKLE", "FOOT", "SHOULDER", "ELBOW", "WRIST")
+        hip, knee, ankle, foot, shoulder, elbow, wrist = (poses[:, Joint[f"{side}_{part}"]] for part in parts)
         # Toes tell most reliably; elbows bend backwards and are often straight, so they count half.
         cue += 2 * (foot - ankle) + (knee - (hip + ankle) / 2) - (elbow - (shoulder + wrist) / 2) / 2
     up = body_up(poses)
@@ -233,9 +232,8 @@ def _orders_of_22() -> dict[str, tuple[str, ...]]:
                 orders[name] = ("pelvis", *rest)
     orders["alphabetical order (left_ankle, left_collar …)"] = tuple(sorted(_NAMES))
     orders["reversed order"] = _NAMES[::-1]
-    orders["all left joints, then all right ones, behind those of the middle"] = tuple(
-        sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))
-    )
+    by_side = sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))
+    orders["all left joints, then all right ones, behind those of the middle"] = tuple(by_side)
     orders["pelvis at the end"] = (*_NAMES[1:], "pelvis")
     return orders
 

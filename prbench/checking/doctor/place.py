@@ -136,10 +136,9 @@ def examine_root(motion_set: MotionSet) -> Finding | None:
         cause = "positions are relative to the pelvis; its path was not added"
         remedy = "Add the pelvis's path to all joints: joints + pelvis[:, None]."
     elif pinned.mean() > 0.5:
-        evidence = (
-            f"the pelvis stays over one point (within {np.array(pelvises)[pinned].max() * 1000:.2g} mm) in"
-            f" {motion_set.in_words(int(pinned.sum()))}, while ankles move up to {np.array(feet)[pinned].max():.2f} m"
-        )
+        evidence = f"the pelvis stays over one point (within {np.array(pelvises)[pinned].max() * 1000:.2g} mm) in"
+        evidence += f" {motion_set.in_words(int(pinned.sum()))}, while ankles move up to"
+        evidence += f" {np.array(feet)[pinned].max():.2f} m"
         cause = "the path over the ground was left out, or every frame was put into a canonical frame of its own"
         remedy = "Add up the root's velocities (prbench.representation.decode does it for the 263 features), and turn"
         remedy += " whole motions by the heading of their first frame: prbench.representation.canonicalise."
@@ -199,11 +198,9 @@ def examine_first_frame(motion_set: MotionSet) -> Finding | None:
     broken = turning | leaping
     if broken.mean() <= 0.5:
         return None
-    evidence = (
-        f"from frame 0 to frame 1 the body of {motion_set.in_words(int(broken.sum()))} turns by"
-        f" {np.rad2deg(np.median(np.abs(turns[broken, 0]))):.0f} degrees and leaps by"
-        f" {np.median(steps[broken, 0]):.2f} m (medians), and not in the frame after"
-    )
+    by = np.rad2deg(np.median(np.abs(turns[broken, 0])))
+    evidence = f"from frame 0 to frame 1 the body of {motion_set.in_words(int(broken.sum()))} turns by {by:.0f}"
+    evidence += f" degrees and leaps by {np.median(steps[broken, 0]):.2f} m (medians), and not in the frame after"
     cause = "only the first frame is canonical: the initial pose was put before motions that live in another frame"
     remedy = "Give all frames the transform of the first (prbench.representation.canonicalise moves whole motions)."
     kind = "facing" if turning.mean() >= leaping.mean() / 2 else "position"

@@ -123,11 +123,10 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     # The file's depth is 0, "unknown", between fixations.
     gaze = aria.gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0))
     objects = _sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS)
-    skeletons = tuple(
-        _sense_suit(sensing, body.joints, body.finger_bases, person_id, number)
-        for number, (body, person_id) in enumerate(people)
-    )
-    return adt.AdtReadings(*names, None, None, glasses, gaze, objects, skeletons)
+    skeletons = []
+    for number, (body, person_id) in enumerate(people):
+        skeletons.append(_sense_suit(sensing, body.joints, body.finger_bases, person_id, number))
+    return adt.AdtReadings(*names, None, None, glasses, gaze, objects, tuple(skeletons))
 
 
 def _glasses_serial(performance: Performance, other: int = 0) -> str:
@@ -297,14 +296,12 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         metadata |= {"concurrent_sequence": readings.concurrent, "dataset_version": "2.0"}
         write_json(target / adt.METADATA_FILE, metadata)
         objects = readings.objects
-        instances = [
-            _instance(entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False)
-            for entry in objects
-        ]
-        instances += [
-            _instance(person.skeleton_id, person.name, "Skeleton", "person", dynamic=True, human=True)
-            for person in readings.skeletons
-        ]
+        instances = []
+        for each in objects:
+            told = (each.object_id, each.name, each.prototype, each.category)
+            instances.append(_instance(*told, dynamic=each.dynamic, human=False))
+        for one in readings.skeletons:
+            instances.append(_instance(one.skeleton_id, one.name, "Skeleton", "person", dynamic=True, human=True))
         write_json(target / adt.INSTANCES_FILE, {str(entry["instance_id"]): entry for entry in instances})
         still = np.zeros((len(readings.glasses.time_us), 6))
         trajectory = mps.trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still)
@@ -315,10 +312,8 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         columns: dict[str, object] = {mps.TIME_COLUMN: gaze.time_us, mps.YAW: gaze.yaw, mps.PITCH: gaze.pitch}
         columns |= {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True))
         aria.write_csv(target / adt.GAZE_FILE, columns)
-        columns = {
-            mps.OBJECT_ID: np.array([entry.object_id for entry in objects]),
-            mps.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
-        }
+        columns = {mps.OBJECT_ID: np.array([entry.object_id for entry in objects])}
+        columns[mps.OBJECT_TIME] = np.full(len(objects), adt.STATIC_TIME)
         for axis in range(3):
             columns[adt.BOX_MIN[axis]] = np.array([entry.box_min[axis] for entry in objects])
             columns[adt.BOX_MAX[axis]] = np.array([entry.box_max[axis] for entry in objects])

@@ -203,6 +203,5 @@ def turned_to_z_up(glasses: AriaTrajectory) -> streams.PoseStream:
     device = glasses_stream(glasses)
     turn = Rotation.from_matrix(adt.Z_UP_FROM_SCENE[:3, :3])
     rotation = turn * Rotation.from_quat(device.rotation, scalar_first=True)
-    return streams.PoseStream(
-        device.times, turn.apply(device.position), rotation.as_quat(scalar_first=True), device.valid
-    )
+    quaternion = rotation.as_quat(scalar_first=True)
+    return streams.PoseStream(device.times, turn.apply(device.position), quaternion, device.valid)

@@ -118,9 +118,8 @@ def read_warnings(path: native.Source) -> tuple[str, ...]:
             reason = f" ({said})" if said else ""
             expected = "no operator with the status ERROR"
             remedy = "The services could not compute this stream; leave the recording out, or request it again."
-            require(
-                native.shown(path), (report["status"] != "ERROR", str(operator), expected, f"ERROR{reason}", remedy)
-            )
+            is_whole = report["status"] != "ERROR"
+            require(native.shown(path), (is_whole, str(operator), expected, f"ERROR{reason}", remedy))
             warnings.append(f"{native.shown(path).parent.name}: {operator} warns{reason}")
     return tuple(warnings)
 
@@ -256,9 +255,8 @@ def read_near(source: native.Source, gaze_us: Int[np.ndarray, " n"], rate: float
         line = rows + 2 - (last is not None)
         native.require_increasing(source, time_us, unit="us", first=line)
         has_world = pc.call_function("not_equal", [known[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
-        position, rotation = (
-            native.column_vectors(known, names) for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS)
-        )
+        groups = (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS)
+        position, rotation = (native.column_vectors(known, names) for names in groups)
         native.require_poses(source, position, rotation, used=has_world.to_numpy(zero_copy_only=False), first=line)
         first_us = int(time_us[0]) if first_us is None else first_us
         wanted = mps.wanted_times_us(gaze_us, first_us, int(time_us[-1]), rate, from_us=int(time_us[0]))
@@ -279,10 +277,8 @@ def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory
     Raises:
         InputFileError: if there is none, or a pose is no pose.
     """
-    position, rotation, gravity = (
-        native.column_vectors(table, names)
-        for names in (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS, mps.GRAVITY_COLUMNS)
-    )
+    groups = (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS, mps.GRAVITY_COLUMNS)
+    position, rotation, gravity = (native.column_vectors(table, names) for names in groups)
     # World frames of a trajectory, most frequent first, and the rows of the first.
     encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
     names = encoded.dictionary.to_pylist()
@@ -391,18 +387,16 @@ def read_wrists(path: native.Source) -> mps.WristPositions:
     """
     confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
     axes = [tuple(f"t{axis}_{side}_wrist_device" for axis in "xyz") for side in mps.SIDES]
-    table = native.read_columns(
-        path, {mps.TIME_COLUMN: int, **dict.fromkeys((*confidences, *axes[0], *axes[1]), float)}
-    )
+    kinds = {mps.TIME_COLUMN: int, **dict.fromkeys((*confidences, *axes[0], *axes[1]), float)}
+    table = native.read_columns(path, kinds)
     time_us = table[mps.TIME_COLUMN].to_numpy()
     native.require_increasing(path, time_us, unit="us")
     wrists = np.stack([native.column_vectors(table, names) for names in axes], axis=1)
     confidence = np.nan_to_num(native.column_vectors(table, confidences), nan=0.0)
     # A hand without a wrist is not seen, whatever its confidence says.
     seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
-    return mps.WristPositions(
-        time_us, np.where(seen, confidence, np.minimum(confidence, 0.0)), np.where(seen[..., None], wrists, np.nan)
-    )
+    confidence = np.where(seen, confidence, np.minimum(confidence, 0.0))
+    return mps.WristPositions(time_us, confidence, np.where(seen[..., None], wrists, np.nan))
 
 
 # Times (ns), positions and rotations of one body.

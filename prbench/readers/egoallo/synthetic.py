@@ -120,9 +120,8 @@ def model_rotations(segments: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, 
     turned = segments.copy()
     for joints, segment_from_rest in _LIMB_FRAMES:
         for joint in joints:
-            turned[:, joint] = (Rotation.from_quat(segments[:, joint], scalar_first=True) * segment_from_rest).as_quat(
-                scalar_first=True
-            )
+            rotation = Rotation.from_quat(segments[:, joint], scalar_first=True) * segment_from_rest
+            turned[:, joint] = rotation.as_quat(scalar_first=True)
     return turned
 
 
@@ -304,10 +303,8 @@ def write_outputs(outputs: Sequence[ego.EgoAlloOutput], folder: Path) -> None:
                 ego.TIMES: output.time_ns,
             }
             np.savez(temporary, **arrays)
-        write_text(
-            folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}",
-            f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n",
-        )
+        arguments = f"start_index: {start}\ntraj_length: {end - start}\nnum_samples: {samples}\n"
+        write_text(folder / f"{Path(output.name).stem}{ego.ARGUMENTS_SUFFIX}", arguments)
 
 
 def write_smplh_model(path: Path) -> None:

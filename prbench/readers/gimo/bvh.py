@@ -272,10 +272,8 @@ def place_skeleton(
     laid = interpolate(times, joints, start + since)
     laid = laid + (pelvis - laid[:, Joint.PELVIS])[:, None]
     file = name.rpartition("/")[2]
-    remarks = [
-        f"limbs from {file}, which begins {start:.3f} s before the segment and follows the fitted pelvis within"
-        f" {error * 1000:.0f} mm"
-    ]
+    said = f"limbs from {file}, which begins {start:.3f} s before the segment"
+    remarks = [f"{said} and follows the fitted pelvis within {error * 1000:.0f} mm"]
     if float(np.linalg.norm(pelvis - pelvis[0], axis=1).max()) < _STANDS_STILL:
         remarks.append("the pelvis hardly moves, so the skeleton's start is a guess")
     return laid, remarks

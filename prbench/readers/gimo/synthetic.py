@@ -190,11 +190,10 @@ def _sense_skeleton(sensing: Sensing, body_from_room: Transform) -> BvhMotion:
     lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
     n = int((performance.duration + 1e-9) * _SKELETON_RATE) + 1
     times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / _SKELETON_RATE
-    turned = [
-        Rotation.from_matrix(body_from_room[:3, :3])
-        * Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
-        for joint in range(len(PARENTS))
-    ]
+    turned = []
+    for joint in range(len(PARENTS)):
+        in_room = slerp(performance.times, performance.rotations[:, joint], times)
+        turned.append(Rotation.from_matrix(body_from_room[:3, :3]) * Rotation.from_quat(in_room, scalar_first=True))
     hips = transform_points(body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times))
     columns = [hips * _CENTIMETRES]
     for joint in DEPTH_FIRST:
@@ -341,11 +340,9 @@ def _finish(root: Path) -> None:
     parts = [json.loads(path.read_text("utf-8")) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
     segments = [gimo.Segment(**part["segment"]) for part in parts]
     write_table(root / gimo.TABLE_FILE, [*segments, segments[-1]])
-    events = [
-        (segment, gimo.EventFrame(frame, hand))
-        for segment, part in zip(segments, parts, strict=True)
-        for frame, hand in part["events"]
-    ]
+    events: list[tuple[gimo.Segment, gimo.EventFrame]] = []
+    for segment, part in zip(segments, parts, strict=True):
+        events += [(segment, gimo.EventFrame(frame, hand)) for frame, hand in part["events"]]
     write_events(root / gimo.EVENTS_FILE, events)
 
 

@@ -192,11 +192,10 @@ def events_of(
         return (), (), "no event is annotated for it"
     puts = [event for event in mine if event.confirmed and event.action == "put"]
     remarks = tuple(f"line {event.line} of the events names a put, GIMO has none: left out" for event in puts)
-    frames: dict[int, Side | None] = {
-        event.event_frame: event.hand
-        for event in mine
-        if event.confirmed and event.action == "pick" and event.event_frame is not None
-    }
+    frames: dict[int, Side | None] = {}
+    for event in mine:
+        if event.confirmed and event.action == "pick" and event.event_frame is not None:
+            frames[event.event_frame] = event.hand
     if not frames:
         if odd := [str(event.unreadable) for event in mine if event.unreadable]:
             return (), remarks, f"its event cannot be read: {'; '.join(odd)}"

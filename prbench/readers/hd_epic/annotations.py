@@ -253,10 +253,8 @@ def count_annotations(
         moved = len(movements.tracks)
         described += sum(len(track.masks) for track in movements.tracks)
         placed += sum(mask.location is not None for track in movements.tracks for mask in track.masks)
-        examples += [
-            f"{video}: {track.name} lifted at {track.start:.2f} s, put down at {track.end:.2f} s"
-            for track in movements.tracks[:1]
-        ]
+        for track in movements.tracks[:1]:
+            examples.append(f"{video}: {track.name} lifted at {track.start:.2f} s, put down at {track.end:.2f} s")
         starts = {(track.object_id, track.start) for track in movements.tracks}
         repeated += 2 * moved - len(starts) - len({(track.object_id, track.end) for track in movements.tracks})
         own.update(objects=movements.objects, picks=moved, puts=moved, masks=movements.masks)

@@ -238,10 +238,8 @@ def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
     does, and no movement that the video does not see through.
     """
     ends = [event for movement in movements(performance) for event in movement]
-    return tuple(
-        seen_again(event, performance, event.goal, event.goal, gaze_period=_GAZE_PERIOD)
-        for event in sorted(ends, key=lambda event: event.event_time)
-    )
+    ends.sort(key=lambda event: event.event_time)
+    return tuple(seen_again(each, performance, each.goal, each.goal, gaze_period=_GAZE_PERIOD) for each in ends)
 
 
 _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)

@@ -163,10 +163,8 @@ def masks_of_sides(track: hd_epic.ObjectTrack) -> tuple[hd_epic.ObjectMask | Non
         mask = track.masks[0]
         return (mask, None) if abs(mask.frame - start) <= abs(mask.frame - end) else (None, mask)
     # By pairs, since the mask nearest to the start may be nearest to the end, too.
-    return min(
-        itertools.permutations(track.masks, 2),
-        key=lambda pair: (abs(pair[0].frame - start) + abs(pair[1].frame - end), pair[0].frame),
-    )
+    pairs = itertools.permutations(track.masks, 2)
+    return min(pairs, key=lambda pair: (abs(pair[0].frame - start) + abs(pair[1].frame - end), pair[0].frame))
 
 
 def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, farthest: float) -> list[MovementSide]:

@@ -188,9 +188,8 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     rows = _read_pose_rows(path)
     names = found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}")
     expected = "an object with instance_name and instance_type"
-    instances, unreadable = native.read_entries(
-        names, native.decode_json(names, dict[str, msgspec.Raw]), msgspec.json.Decoder(_Instance).decode, expected
-    )
+    entries = native.decode_json(names, dict[str, msgspec.Raw])
+    instances, unreadable = native.read_entries(names, entries, msgspec.json.Decoder(_Instance).decode, expected)
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
         raise InputFileError(path, OBJECT_ID, expected="objects", found="headsets only")

@@ -100,10 +100,9 @@ def synthetic_hand(length: float) -> HandModel:
     # A strip over each group of four vertices; nothing is computed from them.
     corners = np.arange(0, len(vertices), 4)[:, None]
     # Lengths in metres, as a reader computes them from rounded millimetres.
-    placed, rest, marks = (
-        np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
-        for shares in (vertices, joints, landmarks)
-    )
+    unit_m = umetrack.METRES_A_UNIT
+    shares = (vertices, joints, landmarks)
+    placed, rest, marks = (np.round(each * length / unit_m, _DECIMALS) * unit_m for each in shares)
     axes = np.array([*_THUMB_AXES, *_FINGER_AXES * 4, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
     triangles = np.concatenate([corners + np.array(face) for face in ((0, 1, 2), (0, 2, 3))])
     return HandModel(placed, np.concatenate(weights), rest, axes, marks, one_hot[[*fixed, _WRIST]], triangles)

@@ -92,9 +92,8 @@ def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: 
     distance, index = KDTree(device.position).query(headset.position, k=count)
     distance = distance.reshape(len(headset.position), count)
     index = index.reshape(len(headset.position), count)
-    turned = Rotation.from_quat(device.rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
-        np.repeat(headset.rotation, count, axis=0), scalar_first=True
-    )
+    turned = Rotation.from_quat(np.repeat(headset.rotation, count, axis=0), scalar_first=True)
+    turned = Rotation.from_quat(device.rotation[index.ravel()], scalar_first=True).inv() * turned
     near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
     exact = near & (distance == 0.0)
     candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
@@ -102,15 +101,13 @@ def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: 
     found, row, nearest = found, index[found, candidates[found].argmax(axis=1)], distance[:, 0]
     residual = float(np.median(nearest)) if len(nearest) else np.inf
     if residual > _LARGEST_RESIDUAL:
-        raise RecordingUnusable(
-            f"{recording}: headset rows and MPS trajectory lie {residual * 1e3:.1f} mm apart (median): not one world,"
-            " or not one recording. Gaze cannot be brought to the ground truth; download both again."
-        )
+        said = f"{recording}: headset rows and MPS trajectory lie {residual * 1e3:.1f} mm apart (median):"
+        said += " not one world, or not one recording."
+        raise RecordingUnusable(f"{said} Gaze cannot be brought to the ground truth; download both again.")
     if len(found) < _FEWEST_ROWS:
-        raise RecordingUnusable(
-            f"{recording}: {len(found)} of {len(headset.time_ns)} headset rows are found in the MPS trajectory, at"
-            f" least {_FEWEST_ROWS} are needed to align the clocks. Download both files again."
-        )
+        said = f"{recording}: {len(found)} of {len(headset.time_ns)} headset rows are found in the MPS trajectory,"
+        said += f" at least {_FEWEST_ROWS} are needed to align the clocks."
+        raise RecordingUnusable(f"{said} Download both files again.")
     # The nearest row of the trajectory was taken, so an offset may be half a step off to either side.
     offset = device.time_ns[row] - headset.time_ns[found]
     half_step = np.diff(device.time_ns) // 2
@@ -120,10 +117,9 @@ def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: 
     reference = int(np.median(low + high) / 2)
     agreeing = np.abs((low + high) / 2 - reference) <= _STRAY_NS
     if agreeing.mean() < _SMALLEST_AGREEING:
-        raise RecordingUnusable(
-            f"{recording}: only {int(agreeing.sum())} of {len(found)} headset rows that are found in the MPS trajectory"
-            " agree about the offset of the clocks within 5 ms. Download both files again."
-        )
+        said = f"{recording}: only {int(agreeing.sum())} of {len(found)} headset rows that are found in the MPS"
+        said += " trajectory agree about the offset of the clocks within 5 ms."
+        raise RecordingUnusable(f"{said} Download both files again.")
     times = headset.time_ns[found][agreeing]
     low = (low[agreeing] - reference).astype(np.float64)
     high = (high[agreeing] - reference).astype(np.float64)
@@ -135,10 +131,9 @@ def match_clocks(headset: hot3d.PoseRows, device: hot3d.PoseRows, *, recording: 
     if lowest > highest:
         middle, slope, half = _with_drift((times - origin) / 1e9, low, high)
         if half < 0 or abs(slope) * 1e-3 > _LARGEST_DRIFT_PPM:
-            raise RecordingUnusable(
-                f"{recording}: no offset and no drift of the clocks fits all {len(times)} headset rows that are found"
-                f" in the MPS trajectory (short by {(lowest - highest) / 1e6:.2f} ms). Download both files again."
-            )
+            said = f"{recording}: no offset and no drift of the clocks fits all {len(times)} headset rows that are"
+            said += f" found in the MPS trajectory (short by {(lowest - highest) / 1e6:.2f} ms)."
+            raise RecordingUnusable(f"{said} Download both files again.")
     else:
         middle = (lowest + highest) / 2
         half = (highest - lowest) / 2

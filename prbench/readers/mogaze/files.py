@@ -288,9 +288,8 @@ def read_readings(found: RecordingFiles, manifest: Manifest) -> mogaze.MogazeRea
     Raises:
         InputFileError: if a file is missing or damaged, or the files are not of one recording.
     """
-    human, objects, gaze, segmentations = (
-        found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS
-    )
+    paths = [found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS]
+    human, objects, gaze, segmentations = paths
     with opened(human) as file:
         entry = dataset(human, file, mogaze.HUMAN_DATASET)
         table = numbers(human, entry, columns=len(mogaze.STATE_COLUMNS))
@@ -391,8 +390,8 @@ def _read_segments(path: Path) -> tuple[tuple[mogaze.Segment, ...], list[Unreada
     where = f"dataset '{mogaze.SEGMENT_DATASET}'"
     require(path, (len(names) >= 3, where, "rows of start, end and label", rows.dtype, _OTHER_FILE))
     start, end, label = (rows[name].tolist() for name in names[:3])
-    rows = zip(start, end, _words(label), strict=True)
-    entries = {f"{mogaze.SEGMENT_DATASET}[{number}]": row for number, row in enumerate(rows)}
+    listed = zip(start, end, _words(label), strict=True)
+    entries = {f"{mogaze.SEGMENT_DATASET}[{number}]": row for number, row in enumerate(listed)}
     segments, unreadable = read_entries(path, entries, _segment, "two frames and a label")
     return tuple(segments.values()), unreadable
 

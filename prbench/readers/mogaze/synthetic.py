@@ -87,11 +87,8 @@ def solve_body(
         inner, outer = (places[f"{letter}{name}"] for name in ("innerShoulder", "Shoulder"))
         outwards = outer - inner if letter == "l" else inner - outer
         turned[f"{letter}innerShoulder"] = _tipped(chest, "X", outwards)
-        for name, joint in (
-            ("Shoulder", Joint.LEFT_SHOULDER),
-            ("Elbow", Joint.LEFT_ELBOW),
-            ("Wrist", Joint.LEFT_WRIST),
-        ):
+        left_arm = {"Shoulder": Joint.LEFT_SHOULDER, "Elbow": Joint.LEFT_ELBOW, "Wrist": Joint.LEFT_WRIST}
+        for name, joint in left_arm.items():
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * arm
         for name, joint in (("Hip", Joint.LEFT_HIP), ("Knee", Joint.LEFT_KNEE)):
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * leg

@@ -204,9 +204,8 @@ def _read_table(path: Path, name: str, about: own.About) -> Table:
         if set(names) <= set(cells):
             length = np.linalg.norm(np.stack([cells[column] for column in names]), axis=0)
             wrong = np.abs(length - 1) > _LENGTH_TOLERANCE
-            refuse(
-                wrong, f"a length of 1 of {', '.join(names)}", length.round(4).astype(str).__getitem__, remedy=remedy
-            )
+            expected = f"a length of 1 of {', '.join(names)}"
+            refuse(wrong, expected, length.round(4).astype(str).__getitem__, remedy=remedy)
     for column, allowed in own.WORDS.items():
         texts = np.array(cells.get(column, []), dtype=object)
         bad = np.array([not re.fullmatch(allowed, text, re.IGNORECASE) for text in texts], dtype=bool)

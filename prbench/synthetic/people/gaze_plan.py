@@ -76,10 +76,8 @@ def plan_gaze(plan: Plan, base: BasePath, eye: Points, times: Signal, rng: np.ra
     """
     scheduler = _Scheduler(plan, base, eye, times, rng)
     kinds = tuple(scheduler.kind(reach) for reach in plan.reaches)
-    primes = tuple(
-        None if kind in ("unprimed", "unseen") else scheduler.prime_time(reach)
-        for reach, kind in zip(plan.reaches, kinds, strict=True)
-    )
+    both = zip(plan.reaches, kinds, strict=True)
+    primes = tuple(None if kind in ("unprimed", "unseen") else scheduler.prime_time(reach) for reach, kind in both)
     together = list(zip(plan.reaches, primes, kinds, strict=True))
     asked = [
         scheduler.sweep(reach, prime) if kind == "swept" else scheduler.goal_looks(reach, prime, kind)

@@ -334,9 +334,8 @@ def _bystander_acts(
     room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
     best: tuple[float, Plan] | None = None
     for attempt in range(_PLANS_OF_BYSTANDER):
-        plan = plan_recording(
-            preset, person, room, _EVENTS, source.generator("recording", index, f"bystander-plan{attempt}")
-        )
+        rng = source.generator("recording", index, f"bystander-plan{attempt}")
+        plan = plan_recording(preset, person, room, _EVENTS, rng)
         if len(plan.reaches) < _EVENTS or plan.reaches[-1].event > times[-1] - 1.5:
             continue
         path = sample_base(plan.start, plan.segments, times)

@@ -138,9 +138,8 @@ def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -
 
 
 def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body:
-    leg, arm, shoulders, trunk = (
-        1.0 + sd * float(np.clip(rng.standard_normal(), -2.7, 2.7)) for sd in (0.03, 0.03, 0.05, 0.025)
-    )
+    spreads = (0.03, 0.03, 0.05, 0.025)
+    leg, arm, shoulders, trunk = (1.0 + sd * float(np.clip(rng.standard_normal(), -2.7, 2.7)) for sd in spreads)
     forward = (-0.010, 0.004, 0.002)
     spine = [(0.0, u * trunk * stature, f * trunk * stature) for u, f in zip(preset.spine_up, forward, strict=True)]
     spine.append(_scaled(preset.neck_offset, trunk * stature))

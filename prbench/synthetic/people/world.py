@@ -206,9 +206,8 @@ class Source:
 
     def generator(self, kind: str, index: int, purpose: str) -> np.random.Generator:
         """Return the stream of one thing and one purpose; independent of every other."""
-        return named_generator(
-            "prbench-synth", GENERATOR_VERSION, self.seed, self.preset, self.world, kind, index, purpose
-        )
+        world = ("prbench-synth", GENERATOR_VERSION, self.seed, self.preset, self.world)
+        return named_generator(*world, kind, index, purpose)
 
 
 def assign(source: Source, index: int) -> tuple[int, int, Split]:

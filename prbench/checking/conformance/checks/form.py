@@ -81,10 +81,8 @@ def load(subject: MethodSubject) -> Iterator[Finding]:
         yield failed(f"its attribute 'name' is {name!r}.", _NAME)
         return
     if subject.is_installed and name != subject.spec.name and not is_python_method(subject.spec.name):
-        yield warning(
-            f"it calls itself '{name}' but is installed as '{subject.spec.name}'.",
-            "Use one name in both places, so that messages and tables speak of the same method.",
-        )
+        remedy = "Use one name in both places, so that messages and tables speak of the same method."
+        yield warning(f"it calls itself '{name}' but is installed as '{subject.spec.name}'.", remedy)
     taken = ", ".join(condition.value for condition in conditions)
     yield passed(f"takes {taken}; ready after {seconds:.2f} s.", load_s=seconds)
 
@@ -107,15 +105,13 @@ def weights(subject: MethodSubject) -> Iterator[Finding]:
     named = {}
     if subject.is_program:
         # The handshake has checked the form of the hello, which names the weights of a program.
-        weights = getattr(subject.adapter, "weights", {})
-        named = {key.value: f"{each.name} ({each.sha256[:12]})" for key, each in weights.items()}
+        stated = getattr(subject.adapter, "weights", {})
+        named = {key.value: f"{each.name} ({each.sha256[:12]})" for key, each in stated.items()}
     elif callable(getattr(subject.adapter, "weights_for", None)):
         for condition in subject.conditions:
             try:
-                first, second = (
-                    used_weights(subject.adapter, condition, subject.spec.weights, origin=subject.origin)
-                    for _ in range(2)
-                )
+                asked = (subject.adapter, condition, subject.spec.weights)
+                first, second = (used_weights(*asked, origin=subject.origin) for _ in range(2))
                 digest = weights_digest(first)
             except Exception as error:  # the method's own code
                 said = str(error) if isinstance(error, PrbenchError) else f"raised {type(error).__name__}: {error}"

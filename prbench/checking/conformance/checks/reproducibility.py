@@ -39,9 +39,8 @@ def global_random(subject: asking.MethodSubject) -> Iterator[Finding]:
     drew = ", ".join(sorted(subject.drew_from)) or "a global generator"
     if other.motions is not None and asking.same_bytes(first, other):
         if subject.drew_from:
-            remedy = subject.own_generators.after(
-                "Leave global generators alone: another method or test in the process may use them."
-            )
+            remedy = "Leave global generators alone: another method or test in the process may use them."
+            remedy = subject.own_generators.after(remedy)
             yield warning(f"it sets or draws from {drew}, though its motions do not change with it.", remedy)
         else:
             yield passed("no global generator is touched.")
@@ -71,15 +70,12 @@ def noise_seed(subject: asking.MethodSubject) -> Iterator[Finding]:
         yield passed("the run's seed changes nothing; the method draws nothing: more --samples would be copies.")
     elif not changes.all():
         still = int((changes == 0).sum())
-        yield failed(
-            f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed.",
-            subject.own_generators.after("Use the noise_seed of each row, not that of the first."),
-        )
+        said = f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed."
+        yield failed(said, subject.own_generators.after("Use the noise_seed of each row, not that of the first."))
     else:
-        yield passed(
-            f"the run's seed changes nothing, another noise_seed moves joints by up to {asking.metres(changes.max())}.",
-            change_m=changes.max(),
-        )
+        most = changes.max()
+        said = f"the run's seed changes nothing, another noise_seed moves joints by up to {asking.metres(most)}."
+        yield passed(said, change_m=most)
 
 
 @check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
@@ -108,10 +104,10 @@ def single_row(subject: asking.MethodSubject) -> Iterator[Finding]:
     """Ask for the first sequence alone."""
     answer = subject.ask(subject.batch(subject.rows[:1], subject.main))
     if answer.motions is None:
-        yield failed(
-            f"a batch of one {subject.case}: {answer.error}",
-            "Keep the first axis: squeeze() without an axis and indexing by a boolean lose it when there is one row.",
+        remedy = (
+            "Keep the first axis: squeeze() without an axis and indexing by a boolean lose it when there is one row."
         )
+        yield failed(f"a batch of one {subject.case}: {answer.error}", remedy)
     else:
         yield passed(f"one {subject.case} alone works.")
 
@@ -140,18 +136,16 @@ def batch(subject: asking.MethodSubject) -> Iterator[Finding]:
             moved[name] = max(moved[name], asking.largest_changes(first, answer, part).max())
     most = max(moved.values())
     if most <= asking.TOLERANCE:
-        yield passed(
-            f"the same within {asking.metres(most)} (tolerance {asking.metres(asking.TOLERANCE)}).", change_m=most
-        )
+        said = f"the same within {asking.metres(most)} (tolerance {asking.metres(asking.TOLERANCE)})."
+        yield passed(said, change_m=most)
         return
     # Optimisation at generation time amplifies rounding; a nudge of the input's last digit tells it from a defect.
     amplified = 0.0
     nudged = subject.nudged(first.batch, _ROUNDING)
     if nudged is not None and (answer := subject.ask(nudged)).motions is not None:
         amplified = float(asking.largest_changes(first, answer).max())
-    told = " and ".join(
-        f"by {asking.metres(distance)} {name}" for name, distance in moved.items() if distance > asking.TOLERANCE
-    )
+    far = {name: distance for name, distance in moved.items() if distance > asking.TOLERANCE}
+    told = " and ".join(f"by {asking.metres(distance)} {name}" for name, distance in far.items())
     if most > _AMPLIFIED * amplified:
         yield failed(f"the same {subject.case}s move {told}.", subject.own_row, change_m=most, amplified_m=amplified)
         return
