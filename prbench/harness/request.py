@@ -55,6 +55,9 @@ def require_settings(
         raise UsageError(f"--native-fps: expected above 0 and at most 1000, found {native_fps:g}.")
 
 
+_MOST_SAMPLES = 100_000  # a number that no run finishes is a slip of the key
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
     """One run of one method.
@@ -114,6 +117,10 @@ class RunRequest:
             raise UsageError(f"--split {self.split}: --fold says already who is tested on; leave --split out.")
         if self.sequences and self.limit is not None:
             raise UsageError("--sequence names the sequences already; leave --limit out.")
+        if self.samples > _MOST_SAMPLES:
+            raise UsageError(
+                f"--samples: expected at most {_MOST_SAMPLES:,} motions of each sequence, found {self.samples:,}."
+            )
         counts = {"--samples": self.samples, "--batch-size": self.batch_size, "--threads": self.threads}
         require_settings(counts, seed=self.seed, control=self.control)
         if self.is_control and (self.weights is not None or self.options):
