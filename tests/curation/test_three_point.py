@@ -13,6 +13,7 @@ import pytest
 from prbench.cli.main import main
 from prbench.curation.poses import three_point
 from prbench.curation.poses.three_point import MEAN_HEAD_HEIGHT, bend_arms, estimated_body, mean_offsets, wearer_size
+from prbench.entry_points import POSE_ESTIMATORS, load_built_in
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths, rotation_matrices
 from prbench.readers import reader_for
@@ -136,6 +137,17 @@ def test_gaps_of_more_than_a_tenth_of_a_second_are_masked_and_never_bridged():
     assert set(np.flatnonzero(~valid[:296, 1])) == set(range(148, 153))  # but for frames beside a sample
     assert valid[:-3, 2].all()
     assert not rotation_valid[:, 1:].any()
+
+
+def test_a_long_recording_is_estimated_in_pieces_without_a_seam(monkeypatch):
+    recording = recording_of("hd-epic")
+    network = load_built_in(POSE_ESTIMATORS, "avatarposer")(None)
+    whole, _ = estimated_body(recording, network, 0.0)
+    monkeypatch.setattr(three_point, "_PIECE", 100)
+    pieces, _ = estimated_body(recording, network, 0.0)
+    assert len(whole["times"]) > 200
+    np.testing.assert_array_equal(pieces["valid"], whole["valid"])
+    np.testing.assert_allclose(pieces["joints"], whole["joints"], atol=1e-4)
 
 
 def test_wrists_at_five_hertz_are_known_beside_their_samples_alone():

@@ -27,6 +27,8 @@ from prbench.readers.three_point import LONGEST_GAP, THREE_POINT
 from prbench.recording import SIDES, Recording
 
 FPS = 30.0
+_PIECE = 18_000  # frames that are estimated at once, so that an hour takes no more memory than ten minutes
+_BEFORE = 90  # frames before them; networks look back for less than a second
 # Central pupil frame in the head's joint frame, metres: synthetic people have (0, 0.012, 0.055) of their stature, here
 # that of 1.70 m; both frames are parallel (x left, y up, z forward).
 EYE_IN_HEAD = np.array([0.0, 0.0204, 0.0935])
@@ -130,12 +132,18 @@ def estimated_body(recording: Recording, estimator: PoseEstimator, floor: float 
             valid[:, place] = covered(hand.times, hand.valid, times, max_gap=LONGEST_GAP, tolerance=0.5 / FPS)
     scale, floor, size = wearer_size(position[:, 0, 1], floor)
     position[..., 1] -= floor
-    # Rotations are measured of the head alone.
-    joints = estimator.estimate(times, position, rotation, valid, valid & [True, False, False], mean_offsets(scale))
-    bend_arms(joints, position, valid)
-    joints[..., 1] += floor
+    joints = np.zeros((len(times), N_JOINTS, 3), dtype=np.float32)
+    for start in range(0, len(times), _PIECE):
+        # Each piece begins earlier than it counts: a body follows from the frames before it.
+        given = slice(max(start - _BEFORE, 0), start + _PIECE)
+        known = valid[given] & [True, False, False]  # rotations are measured of the head alone
+        asked = (times[given], position[given], rotation[given], valid[given], known)
+        bodies = estimator.estimate(*asked, mean_offsets(scale))
+        bend_arms(bodies, position[given], valid[given])
+        bodies[..., 1] += floor
+        joints[start : start + _PIECE] = bodies[start - given.start :]
     known = np.asarray(np.isfinite(joints).all(axis=(1, 2)))
-    joints = np.where(known[:, None, None], joints, 0.0).astype(np.float32)
+    joints[~known] = 0.0
     return {"times": times, "joints": joints, "valid": known}, f"{size}, bones {scale:.3f} times the mean adult's"
 
 

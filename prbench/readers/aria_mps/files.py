@@ -245,12 +245,13 @@ def read_near(source: native.Source, gaze_us: Int[np.ndarray, " n"], rate: float
     """
     kept: list[pa.Table] = []
     last = first_us = None
+    newest_us = -(2**62)
     rows = 0
     for table in native.read_blocks(source, COLUMNS):
         if not len(table):
             continue
         # The last row of the block before joins in: it may lie before a wanted time of this block.
-        known = table if last is None else pa.concat_tables([last, table])
+        known = table if last is None else pa.concat_tables([last.cast(table.schema), table])
         time_us = known[mps.TIME_COLUMN].to_numpy()
         line = rows + 2 - (last is not None)
         native.require_increasing(source, time_us, unit="us", first=line)
@@ -260,15 +261,20 @@ def read_near(source: native.Source, gaze_us: Int[np.ndarray, " n"], rate: float
         native.require_poses(source, position, rotation, used=has_world.to_numpy(zero_copy_only=False), first=line)
         first_us = int(time_us[0]) if first_us is None else first_us
         wanted = mps.wanted_times_us(gaze_us, first_us, int(time_us[-1]), rate, from_us=int(time_us[0]))
-        kept.append(known.take(mps.rows_around(time_us, wanted[wanted <= time_us[-1]])))
-        last = known.slice(len(known) - 1)
+        # Rows that no block before has kept, copied without the text of their world: blocks are large.
+        near = mps.rows_around(time_us, wanted[wanted <= time_us[-1]])
+        near = near[time_us[near] > newest_us]
+        newest_us = int(time_us[near[-1]]) if len(near) else newest_us
+        encoded = known[mps.GRAPH_COLUMN].dictionary_encode()
+        known = known.set_column(known.schema.get_field_index(mps.GRAPH_COLUMN), mps.GRAPH_COLUMN, encoded)
+        kept.append(known.take(near))
+        last = known.take([len(known) - 1])
         rows += len(table)
     if last is None:
         return read_trajectory(source)
-    # The grid reaches beyond the last row, which therefore counts; a row that two blocks have stands twice.
-    table = pa.concat_tables([*kept, last])
-    time_us = table[mps.TIME_COLUMN].to_numpy()
-    return _trajectory_of(source, table.filter(pa.array(np.diff(time_us, prepend=time_us[0] - 1) > 0)))
+    # The grid reaches beyond the last row, which therefore counts.
+    beyond = [last] if last[mps.TIME_COLUMN][0].as_py() > newest_us else []
+    return _trajectory_of(source, pa.concat_tables([*kept, *beyond]))
 
 
 def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory:
@@ -280,7 +286,7 @@ def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory
     groups = (mps.POSITION_COLUMNS, mps.ROTATION_COLUMNS, mps.GRAVITY_COLUMNS)
     position, rotation, gravity = (native.column_vectors(table, names) for names in groups)
     # World frames of a trajectory, most frequent first, and the rows of the first.
-    encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
+    encoded = table[mps.GRAPH_COLUMN].dictionary_encode().unify_dictionaries().combine_chunks()
     names = encoded.dictionary.to_pylist()
     codes = encoded.indices.to_numpy(zero_copy_only=False)
     counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
@@ -294,8 +300,9 @@ def _trajectory_of(source: native.Source, table: pa.Table) -> mps.AriaTrajectory
     # Gravity is a constant of a world, so that the first row of the kept one tells it.
     down = gravity[kept][0]
     up = -down / np.linalg.norm(down)
-    time_us, quality = (table[name].to_numpy()[kept] for name in (mps.TIME_COLUMN, mps.QUALITY_COLUMN))
-    return mps.AriaTrajectory(time_us, position[kept], rotation[kept], quality, up, graphs, int((~kept).sum()))
+    rows = slice(None) if kept.all() else kept  # a copy of an hour is large
+    time_us, quality = (table[name].to_numpy()[rows] for name in (mps.TIME_COLUMN, mps.QUALITY_COLUMN))
+    return mps.AriaTrajectory(time_us, position[rows], rotation[rows], quality, up, graphs, int((~kept).sum()))
 
 
 def read_gaze_angles(path: native.Source) -> mps.GazeAngles:
