@@ -271,10 +271,9 @@ def batch_noise(noise_seeds: Sequence[int]) -> Iterator[None]:
 
     def row_by_row(shape: Sequence[int], dtype: Any, device: Any, settings: dict[str, Any]) -> Any:
         if not len(shape) or shape[0] != len(generators):
-            raise ValueError(
-                f"expected a draw for the {len(generators)} sequences of the batch, one a row, found one of the shape"
-                f" {tuple(shape)}. Call the sampler for one sequence at a time, in sequence_noise(noise_seed)."
-            )
+            problem = f"expected a draw for the {len(generators)} sequences of the batch, one a row, found one of the"
+            problem += f" shape {tuple(shape)}. Call the sampler for one sequence at a time, in"
+            raise ValueError(f"{problem} sequence_noise(noise_seed).")
         # On the CPU whatever the device is: generators of a GPU draw other numbers from the same seed.
         rows = [randn(tuple(shape[1:]), generator=generator, dtype=dtype) for generator in generators]
         drawn = torch.stack(rows).to(device if device is not None else torch.empty(0).device)

@@ -71,9 +71,8 @@ def find_reader(dataset: str) -> InstalledEntry:
     if claims:
         raise UsageError(f"{origin_of(claims[0])}: {claims[0].problem}. Repair or uninstall the package.")
     known = readable_datasets()
-    raise UsageError(
-        f"no reader for '{dataset}'.{did_you_mean(name, known)} There are readers for: {', '.join(known)}."
-    )
+    problem = f"no reader for '{dataset}'.{did_you_mean(name, known)} There are readers for:"
+    raise UsageError(f"{problem} {', '.join(known)}.")
 
 
 def dataset_name_problem(name: str, *, known: Collection[str]) -> str:
@@ -112,9 +111,8 @@ def folder_of(reader: InstalledEntry) -> Path:
         found = importlib.util.find_spec(module)
     except (Exception, SystemExit) as error:
         cause = f"{type(error).__name__}: {error}".rstrip(".")
-        raise UsageError(
-            f"{origin_of(reader)}: cannot be imported: {cause}. Repair or reinstall the package."
-        ) from error
+        problem = f"{origin_of(reader)}: cannot be imported: {cause}."
+        raise UsageError(f"{problem} Repair or reinstall the package.") from error
     if found is None or found.origin is None:
         raise UsageError(f"{origin_of(reader)}: there is no module '{module}'. Repair or reinstall the package.")
     return Path(found.origin).parent

@@ -241,9 +241,8 @@ class _Pretrained:
         try:
             HfApi().model_info(self.source, timeout=10)
         except Exception as error:  # of whichever HTTP library the hub's client uses
-            raise self._unusable(
-                f"no answer from the model hub ({str(error)[:200] or type(error).__name__})"
-            ) from error
+            problem = "no answer from the model hub"
+            raise self._unusable(f"{problem} ({str(error)[:200] or type(error).__name__})") from error
         return False
 
     def _unusable(self, found: str) -> InputFileError:

@@ -90,10 +90,9 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
         if bad.size:
             row = int(bad[0])
             found = "hips on one vertical line" if finite[row] else "joints that are not finite"
-            raise AdapterError(
-                f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}: expected a"
-                f" pose whose hips say which way it faces, found {found}. `prbench view --data DIR` draws them."
-            )
+            refusal = f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}:"
+            refusal += f" expected a pose whose hips say which way it faces, found {found}. `prbench view --data DIR`"
+            raise AdapterError(f"{refusal} draws them.")
     bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
     passes = 0

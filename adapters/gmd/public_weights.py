@@ -190,11 +190,10 @@ def _no_checkpoint(path: Path, found: str) -> InputFileError:
 
 
 def _saving_anew(path: Path) -> str:
-    return (
-        "prbench runs no code of a file. If you trust it, keep its tensors alone, where the original program runs: "
-        f"python -c \"import torch; c = torch.load('{path.name}', map_location='cpu'); c = c.get('model_avg', c);"
-        " torch.save({k: v for k, v in c.items() if torch.is_tensor(v)}, 'tensors.pt')\" and import tensors.pt."
-    )
+    sentence = "prbench runs no code of a file. If you trust it, keep its tensors alone, where the original program"
+    sentence += f" runs: python -c \"import torch; c = torch.load('{path.name}', map_location='cpu'); c ="
+    sentence += " c.get('model_avg', c); torch.save({k: v for k, v in c.items() if torch.is_tensor(v)}, 'tensors.pt')\""
+    return f"{sentence} and import tensors.pt."
 
 
 _RENAMED = (

@@ -357,10 +357,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):
-        yield (
-            "Bold: better than every other method under its condition, each by a difference that the data support"
-            " (Holm's correction for all pairs and metrics of the condition); controls are not ranked."
-        )
+        told = "Bold: better than every other method under its condition, each by a difference that the data support"
+        yield f"{told} (Holm's correction for all pairs and metrics of the condition); controls are not ranked."
     yield from undecided_lines(table)
     for row in table.rows:
         # Remarks stand under the table, because a cell has no room for a sentence.

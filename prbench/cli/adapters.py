@@ -14,7 +14,7 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, progress
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
-from prbench.protocol.manifests import default_benchmark
+from prbench.protocol.manifests import default_benchmark, find_benchmark
 from prbench.shown import clean
 
 if TYPE_CHECKING:
@@ -49,7 +49,6 @@ def list_methods(names: tuple[str, ...], details: bool, converters: Path | None,
         line = f"{converters}: from {converters.stem} import motions_from_features, placed_on"
         return Answer([], lambda: print(line))
     from prbench.harness.methods.installed import list_adapters, no_such_method, offered_twice
-    from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     found = list_adapters(about.entry_points)

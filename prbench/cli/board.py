@@ -16,6 +16,7 @@ import click
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.terminal import print_table
+from prbench.engine import InProcess, engine_for
 from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
@@ -68,7 +69,6 @@ def verify(file: Path, data: tuple[Path, ...], workers: int) -> Answer:
     """Score a submission again from its motions, on tables of the same sequences, and refuse what does not follow."""
     from prbench.board.submission import open_submission
     from prbench.board.verifying import verify_submission
-    from prbench.engine import engine_for
 
     with tempfile.TemporaryDirectory(prefix="prbench-submission-") as place:
         folder = Path(place) / "submission"
@@ -123,7 +123,6 @@ def init(board: Path, data: tuple[Path, ...], benchmark: str | None, **about: An
     DIR may be a clone of a repository; its files stay as they are.
     """
     from prbench.board.upkeep import begin_board
-    from prbench.engine import InProcess
 
     tables = data or opt.embedded_tables(InProcess())
     info = begin_board(board, tables, benchmark=benchmark or default_benchmark().name, **about).info
@@ -144,7 +143,6 @@ _ADD = "prbench leaderboard add board mine.prbench.zip --data tables"
 def add(board: Path, file: Path, data: tuple[Path, ...], workers: int, **given: str) -> Answer:
     """Verify a submission, put it on a board, and make the pages again."""
     from prbench.board.upkeep import add_submission
-    from prbench.engine import engine_for
 
     entry, found = add_submission(board, file, data, engine=engine_for(workers), **given)
     text = f"training data: {found.training}\n{entry.id}: {found.verdict}.\nadded to {board}"
@@ -201,7 +199,6 @@ def check(board: Path, against: Path | None, data: tuple[Path, ...], workers: in
     Files, digests, history, licences and pages are compared. Scores are held against motions with --data alone.
     """
     from prbench.board.upkeep import check_board
-    from prbench.engine import engine_for
 
     found = check_board(board, against=against, data=data, engine=engine_for(workers))
     lines = [f"! {problem}" for problem in found.problems]

@@ -16,15 +16,13 @@ import msgspec
 
 from prbench.cli.commands import Answer, SeveralValues, in_session, note, progress
 from prbench.cli.places import PlaceType
-from prbench.engine import close_engine
-from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster, open_engine
+from prbench.engine import Engine, close_engine, engine_for
+from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster, EngineChoice, open_engine
 from prbench.errors import UsageError
-from prbench.protocol.manifests import benchmarks, default_benchmark
+from prbench.protocol.manifests import benchmarks, default_benchmark, find_benchmark
 
 if TYPE_CHECKING:
     from prbench.board.collect import CollectedRuns
-    from prbench.engine import Engine
-    from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
     from prbench.harness.results import RunChecker
 
@@ -322,7 +320,6 @@ def replace_option(what: str = "table") -> Callable:
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
     """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
     from prbench.harness.methods.installed import METHOD_CONTROLS, list_adapters
-    from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(ctx.params.get("benchmark") or default_benchmark().name)
     names = {adapter.name for adapter in list_adapters(about.entry_points) if not adapter.problem}
@@ -426,7 +423,6 @@ def opened(choice: EngineChoice, **needs: Any) -> Engine:
 
 def run_checker(data: Paths, workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
-    from prbench.engine import engine_for
     from prbench.harness.first_run import table_finder
     from prbench.harness.results import RunChecker
 

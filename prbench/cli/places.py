@@ -156,8 +156,7 @@ def _stopped_by_sigterm() -> Iterator[None]:
     try:
         yield
     except _Stopped:
-        raise WorkStopped(
-            "stopped by SIGTERM; what was finished is kept at the URL of --out, and the same command goes on there."
-        ) from None
+        problem = "stopped by SIGTERM; what was finished is kept at the URL of --out,"
+        raise WorkStopped(f"{problem} and the same command goes on there.") from None
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -24,16 +24,15 @@ import msgspec
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress, session
 from prbench.cli.summaries import RunAnswer, run_answer
-from prbench.engine import end_with_parent
-from prbench.engine.choice import Cluster
+from prbench.engine import Engine, end_with_parent
+from prbench.engine.choice import Cluster, EngineChoice
 from prbench.entry_points import ADAPTERS, STUDY_ITEMS, load_built_in
 from prbench.errors import AdapterError, UsageError
+from prbench.protocol.manifests import default_benchmark, find_benchmark
 
 if TYPE_CHECKING:
     from minisign import SecretKey
 
-    from prbench.engine import Engine
-    from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
     from prbench.harness.request import Experiment, Progress, RunRequest
     from prbench.harness.run import RunReport
@@ -122,8 +121,6 @@ def run(
     Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
     With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
-    from prbench.protocol.manifests import default_benchmark, find_benchmark
-
     of_table_two = ALL in (given["method"], given["condition"])
     # Conditions of another benchmark are refused, and what only the default one has: embedded tables and Table 2. A
     # file may name the benchmark; then the experiment is asked.
@@ -222,9 +219,8 @@ def _run_all(
     if repeated is not None and folder.path.resolve() != repeated.path.resolve():
         from prbench.harness.first_run import same_scores
 
-        differ = (
-            f"scores differ. `prbench leaderboard compare {repeated.path} {folder.path}` says where; other weights,"
-        )
+        differ = "scores differ."
+        differ += f" `prbench leaderboard compare {repeated.path} {folder.path}` says where; other weights,"
         causes = "versions of packages, processors or numbers of threads can be the cause."
         verdict = "every score is the same." if same_scores(repeated, folder) else f"{differ} {causes}"
         note(f"repeats {repeated.path}: {verdict}")
@@ -299,10 +295,9 @@ def _generated(request: RunRequest, engine: Engine, key: SecretKey | None = None
         signer = sign_run(report.folder, key, made=made, found=found)
         note(f"signed by {signer}: {report.folder.path}; {made} of {made + found} batches were made just now.")
     if SAME_WEIGHTS in (report.folder.record.method.weights or ""):
-        note(
-            "every fold ran the same weights, which may have learnt from the people tested on. `prbench train --fold`"
-            " K/N trains without them, and --weights 'DIR-{fold}/weights.safetensors' names what it trained."
-        )
+        told = "every fold ran the same weights, which may have learnt from the people tested on. `prbench train"
+        told += " --fold` K/N trains without them, and --weights 'DIR-{fold}/weights.safetensors' names what it"
+        note(f"{told} trained.")
     return report
 
 
@@ -372,8 +367,6 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
 
 def _group(experiment: Experiment) -> str:
     """Entry-point group of the methods of an experiment."""
-    from prbench.protocol.manifests import find_benchmark
-
     return find_benchmark(experiment.benchmark).entry_points
 
 

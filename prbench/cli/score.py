@@ -15,7 +15,7 @@ from prbench.cli.builds import BuildsReport, table_answer
 from prbench.cli.commands import Answer, command, note, progress
 from prbench.entry_points import CORPORA, STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
-from prbench.protocol.manifests import default_benchmark
+from prbench.protocol.manifests import default_benchmark, find_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
@@ -93,7 +93,6 @@ def score(
     from prbench.harness.run_folder.folder import run_folder_of
     from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
     from prbench.harness.score_predictions import ScoreRequest, score_predictions
-    from prbench.protocol.manifests import find_benchmark
     from prbench.sequences.folds import fold_tables
     from prbench.viewing.player.links import sequence_scores
 
@@ -190,7 +189,6 @@ def export_conditions(*, data: tuple[Path, ...], benchmark: str | None, fold: st
     from prbench.harness.benchmark import load_benchmark
     from prbench.harness.offline import ExportRequest
     from prbench.harness.offline import export_conditions as export
-    from prbench.protocol.manifests import find_benchmark
     from prbench.sequences.folds import fold_tables
 
     about = find_benchmark(benchmark or default_benchmark().name)

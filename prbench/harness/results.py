@@ -222,9 +222,8 @@ def _require_little_drift(
     for each in drifts:
         if not each.drift <= each.accepted:  # NaN differs, too
             those = f"those that the motions in {files.predictions.name} score on the table at hand"
-            found = (
-                f"{each.drift:.3g} of difference in the mean ({each.stored:.6g} stored, {each.rescored:.6g} scored now)"
-            )
+            found = f"{each.drift:.3g} of difference in the mean ({each.stored:.6g} stored,"
+            found += f" {each.rescored:.6g} scored now)"
             why = f"The scores or the motions were edited, or the table was built of other data. {_AGAIN}"
             problem = f"expected values within {each.accepted:.3g} of {those}, found {found}"
             raise RunError(f"{files.scores}, {each.metric}: {problem}. {why}")

@@ -243,11 +243,10 @@ def require_complete(
     else:
         remedy = "Hand in every sequence exactly once for each sample, or name the split that the motions are of"
         remedy += f" (--split, split=; {selections[0].split} is scored) or a part of it (--limit, limit=)."
-    raise PredictionsError(
-        f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}:"
-        f" missing {listed(missing)}, repeated {listed(repeated)}, unknown {listed(sorted(unknown))}"
-        f"{f', samples that were not asked for {surplus[:3]}' if surplus else ''}. {remedy}"
-    )
+    problem = f"{request.predictions}: expected the {expected}{each}, found {len(there - set(missing))}: missing"
+    problem += f" {listed(missing)}, repeated {listed(repeated)}, unknown"
+    problem += f" {listed(sorted(unknown))}{f', samples that were not asked for {surplus[:3]}' if surplus else ''}."
+    raise PredictionsError(f"{problem} {remedy}")
 
 
 # Condition of motions of which nobody said what they were made from; never ranked.

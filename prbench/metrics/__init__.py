@@ -41,27 +41,6 @@ MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.ma
 # The six columns of the study's Table 2.
 STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
 
-__all__ = [
-    "FAMILIES",
-    "GAZE_METRICS",
-    "MAIN_METRICS",
-    "METRICS",
-    "METRICS_OF_MOTIONS",
-    "SCENE_METRICS",
-    "STUDY_METRICS",
-    "UNKNOWN_HAND",
-    "GazeRays",
-    "MetricFamily",
-    "MetricInfo",
-    "MetricValues",
-    "MotionBatch",
-    "ScoringTargets",
-    "exported_unit",
-    "printed_scale",
-    "printed_unit",
-    "score",
-]
-
 
 def score(
     predicted: MotionBatch,

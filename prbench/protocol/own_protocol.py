@@ -137,9 +137,8 @@ def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> Benchma
         if not wanted.is_own:
             # Tables of earlier versions stay usable; their digests keep them in blocks of their own.
             if table is not None and table.is_own:
-                raise UsageError(
-                    f"{folder}: follows a protocol of its own, {table.label}. Name it: --protocol {folder / FILE_NAME}"
-                )
+                refusal = f"{folder}: follows a protocol of its own, {table.label}. Name it:"
+                raise UsageError(f"{refusal} --protocol {folder / FILE_NAME}")
             continue
         if table is None:
             problem = f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench,"

@@ -297,9 +297,8 @@ def load_task(name: str) -> Any:
         known = list_tasks()
         hint = did_you_mean(name, known)
         if any(method.name == name for method in list_adapters()):
-            hint = (
-                f" The method '{name}' is not trained by this command; if it learns, `prbench run` fits it by itself."
-            )
+            hint = f" The method '{name}' is not trained by this command;"
+            hint += " if it learns, `prbench run` fits it by itself."
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
     point = found[0]
     origin = f"training task '{name}' ({point.value})"
