@@ -22,6 +22,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import covered
 from prbench.readers import Reader, RecordingFiles, reader_for
 from prbench.readers.egoallo import bodies, files, format
+from prbench.readers.gimo.hololens import hololens_and_suit
 from prbench.recording import PoseStream, Recording
 
 _DISTANCE_RATE = 10.0  # Hz
@@ -173,6 +174,8 @@ class ReadTracks:
 
     def read(self) -> Tracks:
         """See :class:`TrackSource`."""
+        if self.reader.dataset == "gimo":
+            return Tracks("HoloLens and the suit's head", *hololens_and_suit(self.found.folder))
         recording = self.reader.read(self.found)
         name = recording.recording_id
         if not recording.head.valid.any():
@@ -222,6 +225,9 @@ def chosen_tracks(
         found = load_built_in(CORPORA, "align")(root)
     else:
         reader = reader_for(dataset, dict(options))
-        found = [ReadTracks(reader, files) for files in reader.find(root)]
+        sources = [ReadTracks(reader, files) for files in reader.find(root)]
+        # GIMO's segments share the files of their sequence, for which its first one stands.
+        first = {each.found.folder: each for each in reversed(sources)}
+        found = list(first.values()) if reader.dataset == "gimo" else sources
     by_name = {source.found.recording_id: source for source in found}
     return [by_name[name] for name in chosen_ids(sorted(by_name), recordings, limit, where=root)]

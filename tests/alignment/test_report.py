@@ -19,13 +19,18 @@ from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Joint
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo.format import EgoAlloOutput
 from prbench.readers.found import RecordingFiles
+from prbench.readers.gimo.bvh import write_bvh
+from prbench.readers.gimo.hololens import hololens_and_suit
 from prbench.recording import NO_GAZE, NO_POSES, BodyStream, PoseStream, Recording
 from prbench.representation.converters.smpl import pose_body
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench_adapters.corpora.nymeria.devices import segment_streams
 from prbench_adapters.corpora.nymeria.synthetic import _GRAVITY, _NO_GRAPH
+from tests import fakes
 from tests.adapters.corpora.suits import walking_suit, write_arrays
 from tests.alignment.heads import OFFSET, mounting, tracks
+from tests.cli.reports import reported
+from tests.readers import gimo_sample
 from tests.shared import made_once
 
 GOOD, CUT = "20230607_s0_james_johnson_act0_e72nhq", "20230607_s0_james_johnson_act1_e72nhr"
@@ -172,3 +177,44 @@ def test_a_recording_that_cannot_be_read_is_refused_with_its_error():
     report, evidence = compare(Damaged())
     assert "row 3: expected a number" in report.alignment.refused
     assert evidence == {}
+
+
+def write_gimo(root: Path) -> Path:
+    """One sequence of 75 s whose suit turns as a whole with its head, and the HoloLens on that head."""
+    sequence = gimo_sample.readings()
+    folder = gimo_sample.write_root(root, sequence) / sequence.segment.scene / sequence.segment.sequence
+    hololens, head = tracks(75.0, noise=(0.0, 0.0))
+    at = slice(None, None, 4)  # the suit's 60 Hz
+    motion = gimo_sample.skeleton((len(head.times[at]) - gimo_sample.LEAD) // 2)
+    values = motion.values.copy()
+    n = len(values)
+    turned = Rotation.from_quat(head.rotation[at][:n], scalar_first=True)
+    values[:, 3:6] = turned.as_euler("ZXY", degrees=True)
+    above = fakes.STANDING[Joint.HEAD] - fakes.STANDING[Joint.PELVIS]
+    values[:, :3] = 100.0 * (head.position[at][:n] - turned.apply(above))
+    write_bvh(replace(motion, values=values), folder / "skeleton.bvh")
+    poses = np.tile(np.eye(4), (len(hololens.times[::16]), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(hololens.rotation[::16], scalar_first=True).as_matrix()
+    poses[:, :3, 3] = hololens.position[::16]
+    rows = np.column_stack([np.rint(hololens.times[::16] * 1e7), poses.reshape(-1, 16), np.zeros((len(poses), 2))])
+    np.savetxt(folder / "2022_head_hand_eye.csv", rows, fmt="%.10g", delimiter=",")
+    return folder
+
+
+def test_the_hololens_is_found_on_the_suits_head(tmp_path, capsys):
+    folder = write_gimo(tmp_path / "gimo")
+    (report,) = reported(["align", "gimo", "--root", str(tmp_path / "gimo"), "--out", str(tmp_path / "out")], capsys)
+    x = np.array(report.alignment.device_from_segment)
+    assert np.abs(x - mounting("someone")).max() < 2e-3
+    (csv,) = folder.glob("*_head_hand_eye.csv")
+    lines = csv.read_text().splitlines()
+    cells = lines[9].split(",")
+    csv.write_text("\n".join([*lines[:9], ",".join([cells[0], "9", *cells[2:]]), *lines[10:]]))
+    with pytest.raises(InputFileError, match="line 10"):
+        hololens_and_suit(folder)
+    csv.write_text("1,2,3\n")
+    with pytest.raises(InputFileError, match="16 or more numbers"):
+        hololens_and_suit(folder)
+    csv.unlink()
+    with pytest.raises(InputFileError, match="a recording of the HoloLens"):
+        hololens_and_suit(folder)

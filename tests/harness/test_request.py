@@ -11,7 +11,7 @@ from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, UsageError
 from prbench.harness.first_run import earlier_run, same_scores
-from prbench.harness.request import Experiment, RunRequest, read_experiment
+from prbench.harness.request import Experiment, read_experiment
 from prbench.harness.run_folder import RunFolder
 from tests.fakes import fake_dataset
 
@@ -145,5 +145,7 @@ def test_only_a_run_folder_or_its_record_is_a_run(tmp_path):
 
 
 def test_more_samples_than_a_run_can_finish_are_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"--samples: expected at most 100,000 .* found 4,294,967,296"):
-        RunRequest(method="static", condition="none", data=(tmp_path,), samples=4294967296, out=tmp_path / "run")
+    path = tmp_path / "mine.toml"
+    path.write_text('data = ["table"]\nsamples = 4294967296\n[[methods]]\nname = "static"\nconditions = ["none"]\n')
+    with pytest.raises(InputFileError, match=r"samples.*<= 100000"):
+        read_experiment(path)

@@ -170,8 +170,8 @@ def _joint_lines(motion: BvhMotion, index: int, indent: str, tip: float) -> list
     ]
 
 
-def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
-    """Return the positions of all joints in the frame and unit of the file.
+def joint_poses(motion: BvhMotion) -> tuple[Float[np.ndarray, "n j 3"], list[Rotation]]:
+    """Return the positions of all joints in the frame and unit of the file, and the rotations of each over time.
 
     Rotations are applied in the order of their channels (``Z X Y`` means R = Rz Rx Ry). Position channels stand in for
     the offset of their joint; programs differ in whether a root's offset is added to them, which shifts the whole body.
@@ -198,13 +198,38 @@ def joint_positions(motion: BvhMotion) -> Float[np.ndarray, "n j 3"]:
         parent = rotations[joint.parent]
         positions[:, index] = positions[:, joint.parent] + parent.apply(offset)
         rotations.append(parent * local)
-    return positions
+    return positions, rotations
 
 
 _UNITS = (1.0, 0.01, 0.001)  # Metres a file unit, in the order of trial.
 _LEG = (0.5, 1.2)  # metres from hip to ankle of a person
 _STEP = 1 / 30  # seconds between the starts that are tried first
 _STANDS_STILL = 0.2  # metres; a shorter walk fits anywhere
+
+
+def joints_in_metres(motion: BvhMotion, name: Path | str) -> tuple[Float[np.ndarray, "n 22 3"], Rotation]:
+    """Return the 22 joints in the frame of the file, metres, and the rotation of the head.
+
+    Args:
+        motion: Content of the file.
+        name: The file, for messages.
+
+    Raises:
+        InputFileError: if joints have unknown names, or legs no human length.
+    """
+    columns, unmatched, convention = match_names([joint.name for joint in motion.joints])
+    missing = ", ".join(Joint(index).name.lower() for index, column in enumerate(columns) if column < 0)
+    expected = f"joints for {missing} (best naming: {convention})"
+    found = f"unmatched names: {', '.join(unmatched) or 'none'}"
+    require(name, (not missing, "HIERARCHY", expected, found, "Rename the joints in the file."))
+    positions, rotations = joint_poses(motion)
+    joints = positions[:, list(columns)]
+    thigh = np.linalg.norm(joints[0, Joint.LEFT_KNEE] - joints[0, Joint.LEFT_HIP])
+    leg = float(thigh + np.linalg.norm(joints[0, Joint.LEFT_ANKLE] - joints[0, Joint.LEFT_KNEE]))
+    unit = next((unit for unit in _UNITS if _LEG[0] <= leg * unit <= _LEG[1]), None)
+    expected = f"legs of {_LEG[0]} to {_LEG[1]} m, in metres, centimetres or millimetres"
+    require(name, (unit is not None, "HIERARCHY", expected, f"{leg:.3f}", ""))
+    return joints * unit, rotations[columns[Joint.HEAD]]
 
 
 def place_skeleton(
@@ -227,19 +252,7 @@ def place_skeleton(
         InputFileError: if joints have unknown names, legs no human length, the file is shorter than the track, or no
             start brings the two tracks together.
     """
-    # The 22 joints in metres.
-    columns, unmatched, convention = match_names([joint.name for joint in motion.joints])
-    missing = ", ".join(Joint(index).name.lower() for index, column in enumerate(columns) if column < 0)
-    expected = f"joints for {missing} (best naming: {convention})"
-    found = f"unmatched names: {', '.join(unmatched) or 'none'}"
-    require(name, (not missing, "HIERARCHY", expected, found, "Rename the joints in the file."))
-    joints = joint_positions(motion)[:, list(columns)]
-    thigh = np.linalg.norm(joints[0, Joint.LEFT_KNEE] - joints[0, Joint.LEFT_HIP])
-    leg = float(thigh + np.linalg.norm(joints[0, Joint.LEFT_ANKLE] - joints[0, Joint.LEFT_KNEE]))
-    unit = next((unit for unit in _UNITS if _LEG[0] <= leg * unit <= _LEG[1]), None)
-    expected = f"legs of {_LEG[0]} to {_LEG[1]} m, in metres, centimetres or millimetres"
-    require(name, (unit is not None, "HIERARCHY", expected, f"{leg:.3f}", ""))
-    joints = joints * unit
+    joints, _ = joints_in_metres(motion, name)
     times = np.arange(len(joints)) * motion.frame_time
     since = seconds - seconds[0]
     latest = float(times[-1] - since[-1])

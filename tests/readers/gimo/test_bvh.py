@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo.bvh import BvhMotion, joint_positions, place_skeleton, read_bvh, write_bvh
+from prbench.readers.gimo.bvh import BvhMotion, joint_poses, place_skeleton, read_bvh, write_bvh
 from tests.comparing import differences
 from tests.fakes import STANDING
 from tests.readers.gimo_sample import LEAD, N_FRAMES, path_of_pelvis, skeleton
@@ -52,7 +52,7 @@ def test_a_turned_root_carries_its_children(tmp_path) -> None:
     motion = read_bvh(written(tmp_path, first="90 0 0 0 0 0"))  # about Z: up becomes -X
     assert [(joint.name, joint.parent) for joint in motion.joints] == [("Hips", -1), ("Upper Arm", 0), ("Other", 0)]
     assert motion.frame_time == pytest.approx(1 / 120, abs=1e-6)
-    positions = joint_positions(motion)
+    positions = joint_poses(motion)[0]
     np.testing.assert_allclose(positions[0], [[1, 2, 3], [0, 2, 3], [1, 2, 6]], atol=1e-12)
     np.testing.assert_allclose(positions[1], [[0, 0, 0], [0, 1, 0], [0, 0, 3]], atol=1e-12)
 
@@ -66,7 +66,7 @@ def test_the_order_of_channels_is_the_order_of_rotations(tmp_path, order) -> Non
     ]
     turned = matrices[0] * matrices[1] * matrices[2]
     expected = np.array([1, 2, 3]) + turned.apply([0, 0, 3])
-    np.testing.assert_allclose(joint_positions(motion)[0, 2], expected, atol=1e-12)
+    np.testing.assert_allclose(joint_poses(motion)[0][0, 2], expected, atol=1e-12)
 
 
 def test_writing_and_reading_change_nothing(tmp_path) -> None:
