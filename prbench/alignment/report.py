@@ -177,12 +177,11 @@ class ReadTracks:
         if self.reader.dataset == "gimo":
             return Tracks("HoloLens and the suit's head", *hololens_and_suit(self.found.folder))
         recording = self.reader.read(self.found)
-        name = recording.recording_id
         if not recording.head.valid.any():
-            raise RecordingUnusable(f"{name}: the reader of {recording.dataset} gives no poses of glasses.")
+            raise RecordingUnusable(f"the reader of {recording.dataset} gives no poses of glasses.")
         body = recording.body
         if body is None or not body.valid.any():
-            raise RecordingUnusable(f"{name}: no body to compare with the glasses. {'; '.join(recording.messages)}")
+            raise RecordingUnusable(f"no body to compare with the glasses. {'; '.join(recording.messages)}".strip())
         outputs = [file.path for file in self.found.files if file.role.startswith(files.OUTPUT_ROLE)]
         turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(body.times), 1))
         what: dict[str, Any] = {"compared": "glasses and the body's head joint", "refused": _POSITIONS_ALONE}
