@@ -14,6 +14,7 @@ import pyarrow as pa
 from tests.fuzz.doors import COMMANDS, READERS, Door
 from tests.fuzz.judging import GOOD, SECONDS, Looker, Outcome, temporary_folder, verdict
 from tests.fuzz.mutations import Mutation, files_by_kind, mutate
+from tests.shared import open_folder
 
 os.fsync = lambda _file: None  # as in conftest.py, which this interpreter has not read
 
@@ -80,6 +81,7 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Run the doors that the command line names; 1 if there was a finding."""
     arguments = _arguments()
+    open_folder()
     pa.set_cpu_count(1)  # only a process without threads may fork
     found = 0
     for door in (*READERS, *COMMANDS):
