@@ -19,10 +19,13 @@ ROOT = Path(__file__).parents[2]
 _LOOPBACK = "127.0.0.1"
 _STORE = 100_000_000
 """Bytes of memory for objects, a node: little, so that tests can spill."""
-_SEEN_DEAD_SOON = {
+_SETTINGS = {
+    # A killed node is seen dead soon.
     "health_check_initial_delay_ms": 1000,
     "health_check_period_ms": 1000,
     "health_check_failure_threshold": 3,
+    # Ray refuses to spill onto a disk that is fuller than 95 %, which says nothing of the megabytes that tests need.
+    "local_fs_capacity_threshold": 1.0,
 }
 
 
@@ -41,7 +44,7 @@ class LocalCluster:
             "node_ip_address": _LOOPBACK,
         }
         self._settings = settings
-        head = {**settings, "include_dashboard": False, "_system_config": _SEEN_DEAD_SOON}
+        head = {**settings, "include_dashboard": False, "_system_config": _SETTINGS}
         self._cluster = _patiently(lambda: Cluster(initialize_head=True, head_node_args=head))
         self._nodes: list[Any] = []
 
