@@ -52,6 +52,12 @@ def _agreement(runs: Paths, *, data: Paths, workers: int) -> Answer:
     return _answer(AnalysisReport(tables=agreement_tables(runs, opt.run_checker(data, workers))))
 
 
+def _causes(runs: Paths, *, data: Paths, by: Any, workers: int) -> Answer:
+    from prbench_benchmarks.prime_and_reach.causes import causes_tables
+
+    return _answer(AnalysisReport(tables=causes_tables(runs, opt.run_checker(data, workers), by=by)))
+
+
 def _diversity(
     runs: Paths, *, data: Paths, fan: Path | None, sequence: str | None, permission: tuple[str, ...]
 ) -> Answer:
@@ -78,6 +84,7 @@ def _diversity(
 # The function of each kind, and the options that it takes .
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
+    "causes": (_causes, ("data", "by", "workers")),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
 }
 
@@ -102,6 +109,7 @@ _KINDS = {
 @click.option(
     "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."
 )
+@opt.choice_option("--by", ("layout", "limit"), "Of causes: a row for each layout, or each limit (needs the tables).")
 @opt.permission_option
 @opt.workers_option()
 @click.pass_context
@@ -109,6 +117,8 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     """Say on which sequences methods succeed, or how far their motions differ.
 
     agreement: on which sequences methods succeed: those of recorded people, and by where the goal is.
+
+    causes: what keeps motions from being plausible, a column a flag (docs/specification/metrics.md#plausible).
 
     diversity: how far several motions for one goal differ in poses, path and timing, beside recorded people; RUN is one
     run with --samples 2 or more (docs/diversity.md).

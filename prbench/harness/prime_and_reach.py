@@ -136,9 +136,10 @@ class MotionWork(CaseWork):
             others = (source.redrawn(first, places, seed=request.seed, sample=sample) for sample in samples)
             yield index, MotionQuestion((first, *others), motions)
 
-    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
-        """See :meth:`CaseWork.scores`."""
-        rules = ScoringRules(
+    @property
+    def rules(self) -> ScoringRules:
+        """How the answers are scored."""
+        return ScoringRules(
             self.protocol.metrics,
             recorded_motion=self.request.method in controls.RECORDED_MOTION,
             other_goals=self._scored_goals,
@@ -147,8 +148,11 @@ class MotionWork(CaseWork):
             or (self.method.kind == CONTROL and self.method.name != installed.NEAREST_NEIGHBOUR),
             run_of=self.method.name,
         )
+
+    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
+        """See :meth:`CaseWork.scores`."""
         samples = range(self.request.samples)
-        yield from score_selection(self.selection, files.predictions, samples=samples, rules=rules, engine=engine)
+        yield from score_selection(self.selection, files.predictions, samples=samples, rules=self.rules, engine=engine)
 
     def findings(self, files: DatasetFolder) -> tuple[Diagnosis, ...]:
         """Examine the motions of a method; those of controls are the harness's own."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -12,6 +13,8 @@ from prbench.cli import main
 from prbench.contract import Condition
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
+from prbench.harness.run_folder import read_scores
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
@@ -89,6 +92,31 @@ def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, caps
     assert all(each["people"].value > 0 for each in list(found.values())[:4])
 
 
+@pytest.mark.parametrize("by", [None, "layout", "limit"])
+def test_causes_of_motions_that_are_not_plausible_add_up_to_the_score(table, tmp_path, install, capsys, by):
+    install("made", adapter_source(body=GENTLE))
+    run = made_run(table, tmp_path / "run", limit=None)
+    scores = read_scores(tmp_path / "run/synthetic-adt/scores.parquet").to_pylist()
+    rows = [row for row in scores if row["metric"] == "plausible"]
+    words = ["analyse", "causes", run, *(["--by", by] if by else []), "--data", str(table.folder)]
+    (found,) = reported(words, capsys).tables
+    cells = {(cell.variant or cell.metric, cell.metric): cell for row in found.blocks[0].rows for cell in row.cells}
+    by_cause = {cause: cell.value for (cause, metric), cell in cells.items() if not metric.endswith("_alone")}
+    assert by_cause.pop("plausible") == pytest.approx(100 * np.mean([row["value"] for row in rows]))
+    assert len(by_cause) > 2
+    if by == "limit":
+        limits = load_protocol().metrics.plausible
+        assert {limits[name].flag for name in by_cause} == {f for row in rows for f in (row["flag"] or "").split(";")}
+        return
+    counted = {flag: np.mean([flag in (row["flag"] or "").split(";") for row in rows]) for flag in by_cause}
+    assert by_cause == pytest.approx({flag: 100 * share for flag, share in counted.items()})
+    alone = {flag: np.mean([row["flag"] == flag for row in rows]) for flag in by_cause}
+    assert {flag: cells[f"{flag}_alone", f"{flag}_alone"].value for flag in by_cause} == pytest.approx(
+        {flag: 100 * share for flag, share in alone.items()}
+    )
+    assert (found.blocks[0].rows[0].text.get("layout") == "synthetic-adt") == (by == "layout")
+
+
 @pytest.mark.parametrize("name", ["fan.png", "fan.svg"])
 def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsys, name):
     install("made", adapter_source(body=GENTLE))
@@ -142,6 +170,7 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
     [
         (["agreement", "r", "--fan", "f.png"], "analyse agreement takes no --fan; its options: --data, --workers."),
         (["agreement", "r", "--out", "."], "is a directory"),
+        (["causes", "r", "--by", "joint"], "'joint' is not one of"),
         (["diversity", "a", "b"], "analyse diversity: name one RUN."),
         (["diversities", "a"], "'diversities' is not one of"),
     ],
