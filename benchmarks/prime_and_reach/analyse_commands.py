@@ -81,10 +81,18 @@ def _diversity(
     return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id, caption=caption), *lines)
 
 
+def _distributions(runs: Paths, *, data: Paths) -> Answer:
+    from prbench_benchmarks.prime_and_reach.distributions import distribution_tables
+
+    with progress("measuring") as show:
+        return _answer(AnalysisReport(tables=distribution_tables(runs, data, progress=show)))
+
+
 # The function of each kind, and the options that it takes .
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
     "causes": (_causes, ("data", "by", "workers")),
+    "distributions": (_distributions, ("data",)),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
 }
 
@@ -114,11 +122,14 @@ _KINDS = {
 @opt.workers_option()
 @click.pass_context
 def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
-    """Say on which sequences methods succeed, or how far their motions differ.
+    """Say on which sequences methods succeed, how their motions are distributed, and how far they differ.
 
     agreement: on which sequences methods succeed: those of recorded people, and by where the goal is.
 
     causes: what keeps motions from being plausible, a column a flag (docs/specification/metrics.md#plausible).
+
+    distributions: how twelve features of the motions (speeds, steps, timing, posture) are distributed, beside recorded
+    people's of the same sequences (docs/specification/metrics.md#distributions).
 
     diversity: how far several motions for one goal differ in poses, path and timing, beside recorded people; RUN is one
     run with --samples 2 or more (docs/diversity.md).

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
 from prbench.protocol.manifests import MetricConstants
 
 Feet = Bool[np.ndarray, "2 frames"]
+Rows = Int[np.ndarray, " swings"]
 
 
 def _of_both_sides(share: float, start: str, end: str, place: float) -> list[tuple[float, Joint, Joint, float]]:
@@ -132,18 +133,15 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
     # Where no foot is near the floor, the pelvis drags as far as it goes; noise is slower than ``drag_speed``.
     stillest = np.minimum(np.where(feet.contact, feet.speed, np.inf).min(axis=0), feet.travel)
     dragged = np.add.reduceat(np.where(stillest > constants.drag_speed, stillest, 0.0), motion.first)
-    # A foot is lifted where it stood in a step and moves in the next one, and lands the other way round.
-    each = np.stack([feet.planted[:2].any(axis=0), feet.planted[2:].any(axis=0)])
-    before = np.roll(each, 1, axis=1)
-    before[:, motion.first] = each[:, motion.first]  # what stands or moves at first did so before
-    before[:, motion.last] = each[:, motion.last]
-    lifted = before & ~each
-    landed = each & ~before
     rates = pair.targets.fps_of_sequence
+    lifted, _ = _lifted_and_landed(motion, feet)
     steps = np.zeros(motion.n_sequences)
     for rate in np.unique(rates):
         counted = moving_sum(lifted.astype(float), motion, odd_window(1.0, rate)).sum(axis=0)
         steps = np.where(rates == rate, largest(counted), steps)
+    shortest_swing = np.full(motion.n_sequences, np.inf)
+    for _, up, down in swings(motion, feet):
+        np.minimum.at(shortest_swing, motion.sequence_of_row[up], down - up)
     beyond = _beyond_feet(motion, feet, constants)
     return {
         "lower_toe": largest(motion.columns[list(TOES), 1].min(axis=0)),
@@ -154,7 +152,7 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
         "unsupported_speed": largest(np.where(standing, 0.0, feet.travel)),
         "travel_speed": largest(feet.travel),
         "step_rate": steps,
-        "swing_time": _shortest_swing(motion, lifted, landed) / rates,
+        "swing_time": shortest_swing / rates,
         "pivot": _largest_pivot(motion, feet),
         "foot_roll": _foot_roll(motion, constants),
         "imbalance": largest(np.where(feet.travel <= constants.slide_speed, beyond, 0.0)),
@@ -162,18 +160,32 @@ def footing_numbers(pair: ScoringPair, constants: MetricConstants) -> dict[str, 
     }
 
 
-def _shortest_swing(motion: MotionBatch, lifted: Feet, landed: Feet) -> Float[np.ndarray, " n"]:
-    """Fewest frames from where a foot is lifted to where it lands, for toes that go ``_SWING`` metres meanwhile."""
-    shortest = np.full(motion.n_sequences, np.inf)
-    for side, toe in enumerate(TOES):
-        up = np.flatnonzero(lifted[side])
-        landings = np.append(np.flatnonzero(landed[side]), len(motion.values) - 1)
+def _lifted_and_landed(motion: MotionBatch, feet: Footing) -> tuple[Feet, Feet]:
+    """Return the steps in which a foot moves that stood in the step before, and the other way round."""
+    each = np.stack([feet.planted[:2].any(axis=0), feet.planted[2:].any(axis=0)])
+    before = np.roll(each, 1, axis=1)
+    before[:, motion.first] = each[:, motion.first]  # what stands or moves at first did so before
+    before[:, motion.last] = each[:, motion.last]
+    return before & ~each, each & ~before
+
+
+def swings(motion: MotionBatch, feet: Footing) -> list[tuple[Joint, Rows, Rows]]:
+    """Find where each foot swings: from where it is lifted to where it lands, its toe ``_SWING`` metres away or more.
+
+    Returns:
+        For the left and the right foot its toe, the rows of the frames in which it is lifted, and of those in which it
+        lands.
+    """
+    found = []
+    for toe, lifted, landed in zip(TOES, *_lifted_and_landed(motion, feet), strict=True):
+        up = np.flatnonzero(lifted)
+        landings = np.append(np.flatnonzero(landed), len(motion.values) - 1)
         down = landings[np.searchsorted(landings, up)]
         x, _, z = motion.columns[toe]
-        swings = (np.hypot(x[down] - x[up], z[down] - z[up]) >= _SWING) & landed[side, down]
-        swings &= motion.sequence_of_row[up] == motion.sequence_of_row[down]
-        np.minimum.at(shortest, motion.sequence_of_row[up[swings]], (down - up)[swings])
-    return shortest
+        swing = (np.hypot(x[down] - x[up], z[down] - z[up]) >= _SWING) & landed[down]
+        swing &= motion.sequence_of_row[up] == motion.sequence_of_row[down]
+        found.append((toe, up[swing], down[swing]))
+    return found
 
 
 def _largest_pivot(motion: MotionBatch, feet: Footing) -> Float[np.ndarray, " n"]:
