@@ -28,9 +28,10 @@ from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
 
 ROOT = Path(__file__).parents[2]
-DIFFER = {"--out", "--condition", "--split", "--format", "--unit", "--events", "--fps", "--devices"}
+DIFFER = {"--out", "--condition", "--split", "--format", "--unit", "--events", "--by", "--fps", "--devices"}
 """Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too.
-`run` also has the split ``published``; formats are those of tables or of motions; units and events of files, too."""
+`run` also has the split ``published``; formats are those of tables or of motions; units and events of files, too.
+What is grouped by ``--by`` differs."""
 
 
 @pytest.fixture
