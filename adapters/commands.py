@@ -71,6 +71,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.threads_option
 @click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
 @opt.engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
+@click.option("--wandb", metavar="PROJECT", help="Log to this project at Weights & Biases, beside TensorBoard.")
 @click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
 def train(
     *,
@@ -116,7 +117,8 @@ def train(
     if trained is None:  # one of several processes that train together; the first one speaks for all
         return 0
     report = TrainReport(method=method, configuration=None, trained=trained)
-    return Answer(report, lambda: print(f"weights: {trained.weights}"))
+    best = f" (of the best validation, after {trained.best_step} of {trained.steps} steps)"
+    return Answer(report, lambda: print(f"weights: {trained.weights}{best if trained.best_step else ''}"))
 
 
 def _in_words(row: Mapping[str, float | int]) -> str:

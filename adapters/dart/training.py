@@ -318,6 +318,10 @@ class DartTraining(TrainingModule):
         progress = min(1.0, (step - of_vae) / max(1, self.calls - of_vae))
         return False, progress, feedback(progress, self.objective.denoiser_stages)
 
+    def comparable_from(self) -> int:
+        """Return the step after the denoiser's first; validations before it measured the VAE."""
+        return round(self.objective.vae_share * self.calls) + 1
+
     def learning_rate_factor(self, step: int) -> float:
         """Falls linearly to 0 in each phase."""
         return max(0.0, 1.0 - self.moment(step)[1])

@@ -75,7 +75,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
             says so.
         ema: Decay of the average of the weights, which is what is saved; 0 keeps no average.
         ema_warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
-        precision: ``auto`` is bfloat16 on a GPU and float32 on a processor; the card and ``training.json`` name it.
+        precision: ``auto`` times both on the first batch; the card and ``training.json`` name what was faster.
         weights_dtype: Type of matrices in the saved weights.
     """
 
@@ -98,8 +98,10 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         require_within(self, "at least 1", "steps", "batch_size", "save_every", "log_every")
-        if not 0 <= self.warmup_steps <= self.steps:
-            raise ValueError("`warmup_steps` must lie between 0 and `steps`")
+        require_within(self, "at least 0", "warmup_steps")
+        if self.warmup_steps > self.steps:
+            why = f"{self.warmup_steps} `warmup_steps`, in which the learning rate rises, in only {self.steps} `steps`"
+            raise ValueError(f"{why}; lower them, such as by --set training.warmup_steps={self.steps // 10}")
         require_within(self, "at least 0 and below 1", "ema")
         require_within(self, "above 0", "learning_rate")
         if self.gradient_clip is not None and self.gradient_clip <= 0:
@@ -107,16 +109,24 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
 
 class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[validation]``: losses on the validation split, while training goes on.
+    """``[validation]``: losses on the validation split, while training goes on; the best weights are kept.
 
     Attributes:
-        every: Steps between validations; 0 for none.
+        every: Steps between validations; 0 for none, then the last weights are kept.
+        patience: Validations without a lower loss after which training ends early; 0 never ends it.
         sequences: Number of sequences of each dataset: of every recording its share, as ``--limit`` takes them.
     """
 
     every: int = 0
+    patience: int = 0
     sequences: int = 64
     batch_size: int = 32
+
+    def __post_init__(self) -> None:
+        require_within(self, "at least 0", "every", "patience")
+        require_within(self, "at least 1", "sequences", "batch_size")
+        if self.patience and not self.every:
+            raise ValueError(f"`patience` is {self.patience}, but `every` is 0, so nothing is ever validated")
 
 
 class TrainingConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -13,18 +13,19 @@ import contextlib
 import math
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 
 from prbench.errors import MissingExtraError, TrainingError, TrainingStopped, UsageError
 from prbench.randomness import named_generator
 from prbench_adapters.training.configuration import TrainingConfiguration
-from prbench_adapters.training.report import Describe, Outputs
+from prbench_adapters.training.report import Describe, Log, Outputs
 from prbench_adapters.training.state import Row, TrainingState, learning_rate, restore_checkpoint
 from prbench_adapters.training.task import TrainingModule
 
@@ -32,13 +33,12 @@ if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
 
-def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", spawn: bool = False) -> Fabric:
+def make_fabric(device: str, *, devices: int = 1, spawn: bool = False) -> Fabric:
     """Return the Fabric that a training runs on; launch it before anything else.
 
     Args:
         device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``.
         devices: Processes that train together, each on a device of its own.
-        precision: ``32-true``, or ``bf16-mixed``: matrix products in bfloat16, weights, losses and sums in float32.
         spawn: Start the processes from functions instead of running the command again (for tests and notebooks).
 
     Raises:
@@ -47,16 +47,8 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
     """
     try:
         from lightning_fabric import Fabric
-        from lightning_fabric.plugins import MixedPrecision, Precision
     except ModuleNotFoundError as error:
         raise MissingExtraError("lightning-fabric", "train", "training") from error
-
-    class HeldPrecision(MixedPrecision):
-        """Autocast alone: Fabric would also round features and targets to bfloat16 before the module sees them."""
-
-        def convert_input(self, data: Any) -> Any:
-            return data
-
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda", "mps") or (number and not number.isdigit()):
         raise UsageError(f"--device: expected cpu, cuda, cuda:1 … or mps, found '{device}'.")
@@ -67,10 +59,51 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
         why = f"torch {torch.__version__} finds {available or 'no'} such device{'s' if available != 1 else ''} here."
         remedy = "Use --device cpu, or install a build of torch for your GPU and its driver."
         raise UsageError(f"--device {device}{f' --devices {devices}' if devices > 1 else ''}: {why} {remedy}")
-    plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
     chosen: Any = [int(number)] if number else devices
     strategy = "auto" if devices == 1 else ("ddp_spawn" if spawn else "ddp")
-    return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
+    return Fabric(accelerator=kind, devices=chosen, strategy=strategy)
+
+
+Precision = Literal["32-true", "bf16-mixed"]
+# bfloat16 has to be this much faster, so that chance does not decide between equals.
+_WORTHWHILE = 1.2
+_TRIAL = 1.0  # seconds
+
+
+def autocast(device: torch.device, precision: str) -> torch.autocast:
+    """Return the context of a network's call: ``bf16-mixed`` has matrix products in bfloat16, the rest in float32.
+
+    Fabric's own would also round features and targets before the module sees them.
+    """
+    return torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16-mixed")
+
+
+def faster_precision(module: TrainingModule, batch: Any, device: torch.device) -> Precision:
+    """Time forward and backward passes in both precisions, a second each; the module is left as it was.
+
+    Args:
+        module: The module before the first step.
+        batch: What it is fed.
+        device: Device of the training.
+    """
+    before = {name: tensor.clone() for name, tensor in module.state_dict().items()}
+    module.train().to(device)
+    batch = batch.to(device)
+    shortest: dict[str, float] = {}
+    for precision in get_args(Precision):
+        begun = time.perf_counter()
+        times: list[float] = []
+        while len(times) < 2 or time.perf_counter() - begun < _TRIAL:  # the first of them warms up
+            start = time.perf_counter()
+            with torch.random.fork_rng(devices=[]), autocast(device, precision):
+                loss = module(batch, 0)["loss"]
+            loss.float().backward()
+            loss.item()  # waits for a GPU
+            times.append(time.perf_counter() - start)
+        shortest[precision] = min(times)
+    module.zero_grad()
+    module.load_state_dict(before)
+    return "bf16-mixed" if shortest["bf16-mixed"] * _WORTHWHILE < shortest["32-true"] else "32-true"
 
 
 @contextlib.contextmanager
@@ -136,18 +169,22 @@ def fit(
     describe: Describe = lambda state: {"steps": state.step},
     validate: Validate | None = None,
     report: Callable[[Progress], None] = silent,
+    log: Log | None = None,
 ) -> TrainingState:
     """Train a module, or go on with it; ends with the averaged weights in ``out/weights.safetensors``.
+
+    With validations they are those of the best one.
 
     Args:
         module: The module before the first step; a checkpoint in ``out`` replaces that state.
         batches: Called once, with the number of batches that were taken before.
         configuration: Everything that decides the result, together with module and batches.
         out: The training folder: checkpoints, log, weights and their card.
-        fabric: Device, processes and precision, launched; the CPU by default.
+        fabric: Device and processes, launched; the CPU by default.
         describe: The card for a state.
         validate: Called every ``validation.every`` steps, by the first process.
         report: Called after every step, by the first process.
+        log: Called with every line of the log beside TensorBoard, by the first process.
 
     Returns:
         The state after the last step.
@@ -157,7 +194,7 @@ def fit(
         TrainingError: if a loss is no longer finite, or a checkpoint does not fit the module.
         StorageError: if a file cannot be written.
     """
-    fabric = fabric or make_fabric("cpu", precision=configuration.training.precision)
+    fabric = fabric or make_fabric("cpu")
     settings = configuration.training
     module.seed, module.rank, module.calls = settings.seed, fabric.global_rank, settings.steps
     module.train().to(fabric.device)
@@ -167,7 +204,7 @@ def fit(
     fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one
     outputs = None
     if fabric.is_global_zero:
-        outputs = Outputs(out, out / _CHECKPOINTS, describe, dtype=settings.weights_dtype, resumed_at=state.step)
+        outputs = Outputs(out, out / _CHECKPOINTS, describe, log, dtype=settings.weights_dtype, resumed_at=state.step)
     try:
         with stop_on_signals() as asked, torch.random.fork_rng(devices=[]):
             session = _Session(state, configuration, fabric, outputs, asked, validate, report)
@@ -178,7 +215,7 @@ def fit(
                 outputs.write_results(state)  # the last session may have been killed before it could
     finally:
         if outputs is not None:
-            outputs.log.close()
+            outputs.tensorboard.close()
     return state
 
 
@@ -206,11 +243,11 @@ class _Session:
         network = self.fabric.setup_module(state.module, move_to_device=False)
         self._validated()  # if the session before was stopped instead
         incoming = iter(batches(state.step))
-        while state.step < settings.steps:
+        while not self._over():
             self._step(network, incoming)
-            row = self._log() if self._due(settings.log_every) else None
             asked = state.step < settings.steps and self._asked_to_stop()
             measured = None if asked else self._validated()
+            row = self._log() if self._due(settings.log_every) else None
             if self.outputs is not None:
                 self.report(Progress(state.step, settings.steps, row, measured))
             if asked or self._due(settings.save_every):
@@ -228,8 +265,13 @@ class _Session:
             self.outputs.save(self.state)
         self.fabric.barrier()
 
+    def _over(self) -> bool:
+        """Return True after the last step, or when the validations have not become better for long enough."""
+        last = self.state.step >= self.configuration.training.steps
+        return last or self.state.exhausted(self.configuration.validation.patience)
+
     def _due(self, every: int) -> bool:
-        return self.state.step % every == 0 or self.state.step == self.configuration.training.steps
+        return self.state.step % every == 0 or self._over()
 
     def _rate(self, step: int) -> float:
         return self.state.module.learning_rate_factor(step) * learning_rate(step, self.configuration.training)
@@ -245,8 +287,9 @@ class _Session:
         # Dropout draws from torch's global generators; seeded anew, a resumed run drops the same.
         generator = named_generator("prbench-dropout", settings.seed, state.step, self.fabric.global_rank)
         torch.manual_seed(int(generator.integers(2**63 - 1)))
-        losses = network(batch, state.step)
-        self.fabric.backward(losses["loss"])
+        with autocast(self.fabric.device, settings.precision):
+            losses = network(batch, state.step)
+        self.fabric.backward(losses["loss"].float())
         for name, loss in losses.items():
             state.losses[name] = state.losses.get(name, 0.0) + loss.detach()
         state.batches += 1
@@ -289,20 +332,22 @@ class _Session:
         return row
 
     def _validated(self) -> Row | None:
-        """Validate the averaged weights if it is time; only the first process does, and the others wait."""
+        """Validate the averaged weights if it is time; the first process does, and tells the others."""
         state = self.state
         every = self.configuration.validation.every
         if self.validate is None or not every or not state.step or not self._due(every):
             return None
-        measured = None
-        if self.outputs is not None and (not state.validations or state.validations[-1]["step"] != state.step):
+        if state.validations and state.validations[-1]["step"] == state.step:
+            return None
+        measured: Row = {}
+        if self.outputs is not None:
             state.module.eval()
-            with state.average.applied():
+            with state.average.applied(), autocast(self.fabric.device, self.configuration.training.precision):
                 measured = {"step": state.step, **self.validate(state.module)}
             state.module.train()
-            state.validations.append(measured)
             self.outputs.add(measured, group="validation")
-        self.fabric.barrier()
+        measured = self.fabric.broadcast(measured)
+        state.add_validation(measured)
         return measured
 
     def _asked_to_stop(self) -> bool:

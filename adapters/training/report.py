@@ -7,6 +7,7 @@ weights are, what they were made from, and how far the training came.
 from __future__ import annotations
 
 import platform
+import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +18,7 @@ import torch
 import prbench
 from prbench.errors import MissingExtraError, StorageError, TrainingError
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import read_json, remove_leftovers
+from prbench.files.storage import read_json, remove_leftovers, write_json
 from prbench.harness.preparation import package_versions
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import OPTION
@@ -146,16 +147,19 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         device: Device of the training.
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
+    settings = record.configuration.training
+    best = state.best_validation()
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.machine()
     made = ("method", "stage", "configuration", "data", "refit", "initial_weights_sha256", "devices")
     return {
         **{name: msgspec.to_builtins(getattr(record, name)) for name in made},
         "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,
-        "finished": state.step >= record.configuration.training.steps,
+        "finished": state.step >= settings.steps or state.exhausted(record.configuration.validation.patience),
         "steps": state.step,
+        "best_step": None if best is None else best["step"],
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
-        "averaged": record.configuration.training.ema > 0,
+        "averaged": settings.ema > 0,
         "device": f"{device.type} ({name})",
         "threads": threads,
         "packages": package_versions(_PACKAGES),
@@ -178,6 +182,32 @@ WEIGHTS = "weights.safetensors"
 _CARD = "weights.json"
 # Maps a state to its card.
 Describe = Callable[[TrainingState], dict[str, Any]]
+# Takes what was measured, with the names as TensorBoard shows them, and the step.
+Log = Callable[[dict[str, float], int], None]
+
+
+def wandb_run(out: Path, project: str, record: TrainingRecord) -> Any:
+    """Open the run of a training folder at Weights & Biases, the same one after an interruption.
+
+    Args:
+        out: The training folder; holds the run's files and its id.
+        project: Name of the project.
+        record: Shown as the run's configuration.
+    """
+    import wandb
+
+    kept = out / "wandb.json"
+    if not kept.is_file():
+        write_json(kept, {"id": uuid.uuid4().hex[:8]})
+    return wandb.init(
+        project=project,
+        id=read_json(kept)["id"],
+        resume="allow",
+        name=out.resolve().name,
+        dir=str(out),
+        config=msgspec.to_builtins(record),
+        settings=wandb.Settings(console="off"),
+    )
 
 
 class Outputs:
@@ -187,6 +217,7 @@ class Outputs:
         out: The training folder.
         checkpoints: Folder of the checkpoints.
         describe: The card for a state.
+        log: Called with every line that TensorBoard is given.
         dtype: Type of the matrices in the weights file.
         resumed_at: Steps that were done before this session; what an earlier one logged after them is dropped.
 
@@ -195,7 +226,14 @@ class Outputs:
     """
 
     def __init__(
-        self, out: Path, checkpoints: Path, describe: Describe, *, dtype: Literal["float32", "float16"], resumed_at: int
+        self,
+        out: Path,
+        checkpoints: Path,
+        describe: Describe,
+        log: Log | None = None,
+        *,
+        dtype: Literal["float32", "float16"],
+        resumed_at: int,
     ) -> None:
         try:
             from torch.utils.tensorboard import SummaryWriter
@@ -203,9 +241,9 @@ class Outputs:
             raise MissingExtraError("tensorboard", "train", "the log of a training") from error
         for name in (WEIGHTS, _CARD):
             remove_leftovers(out / name)
-        self.out, self.checkpoints, self.describe = out, checkpoints, describe
+        self.out, self.checkpoints, self.describe, self.log = out, checkpoints, describe, log
         self.dtype: Literal["float32", "float16"] = dtype
-        self.log = SummaryWriter(str(out / "tensorboard"), purge_step=resumed_at + 1 if resumed_at else None)
+        self.tensorboard = SummaryWriter(str(out / "tensorboard"), purge_step=resumed_at + 1 if resumed_at else None)
 
     def save(self, state: TrainingState) -> None:
         """Write everything: first the checkpoint, from which all the rest can be made again.
@@ -218,18 +256,20 @@ class Outputs:
         self.write_results(state)
 
     def write_results(self, state: TrainingState) -> None:
-        """Write the averaged weights with their card.
+        """Write the averaged weights with their card: those of the best validation, where there was one.
 
         Raises:
             StorageError: if a file cannot be written.
         """
-        with state.average.applied():
+        with state.average.applied(state.best):
             tensors, metadata = state.module.weights()
             write_weights(self.out / WEIGHTS, tensors, metadata, self.describe(state), dtype=self.dtype)
-        self.log.flush()
+        self.tensorboard.flush()
 
     def add(self, row: Row, *, group: str) -> None:
         """Log what was measured; ``group`` comes before the names, as in ``train/loss``."""
-        for name, value in row.items():
-            if name != "step":
-                self.log.add_scalar(f"{group}/{name}", value, int(row["step"]))
+        values = {f"{group}/{name}": value for name, value in row.items() if name != "step"}
+        for name, value in values.items():
+            self.tensorboard.add_scalar(name, value, int(row["step"]))
+        if self.log is not None:
+            self.log(values, int(row["step"]))

@@ -19,7 +19,7 @@ import msgspec
 import torch
 
 from prbench.engine import IN_PROCESS, Engine, close_engine
-from prbench.errors import TrainingStopped, UsageError
+from prbench.errors import MissingExtraError, TrainingStopped, UsageError
 from prbench.files.storage import sole_writer, write_json
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
@@ -30,7 +30,7 @@ from prbench_adapters.training import report as reports
 from prbench_adapters.training.batches import DrawnDataset, Items, LengthBatches, load_batches
 from prbench_adapters.training.configuration import TrainingConfiguration, resolved
 from prbench_adapters.training.dataset import configured_dataset
-from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
+from prbench_adapters.training.loop import Progress, faster_precision, fit, make_fabric, silent
 from prbench_adapters.training.state import Row, TrainingState
 from prbench_adapters.training.store import REFIT, Table, parts_of
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
@@ -111,6 +111,7 @@ class TrainRequest:
         devices: Processes that train together.
         threads: Torch's threads in each process; on a CPU the last bits of the weights depend on it.
         workers: Processes that load data for each training process; they change no result.
+        wandb: Project at Weights & Biases that the log goes to as well; ``WANDB_MODE=offline`` keeps it on this disk.
     """
 
     method: str
@@ -126,6 +127,7 @@ class TrainRequest:
     devices: int = 1
     threads: int = 1
     workers: int = 0
+    wandb: str | None = None
 
 
 def train(
@@ -143,7 +145,7 @@ def train(
         UsageError: if the request does not fit together, or there is no such device.
         TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
         TrainingError: if the folder belongs to another training, or a loss is not finite.
-        MissingExtraError: if the extra ``train`` is not installed.
+        MissingExtraError: if the extra ``train``, or ``wandb`` where it is asked for, is not installed.
         PrbenchError: if data, configuration or initial weights are not what they should be.
     """
     task = load_task(request.method)
@@ -152,13 +154,12 @@ def train(
         why = "the validation split is learnt from, so measuring on it would say nothing; add --set validation.every=0."
         raise UsageError(f"--refit: {why}")
     torch.set_num_threads(request.threads)
-    precision = configuration.training.precision
-    if precision == "auto":
-        # Every GPU that trains such networks has units for bfloat16; not every processor is quicker with it.
-        precision = "32-true" if request.device.startswith("cpu") else "bf16-mixed"
-    training = msgspec.structs.replace(configuration.training, precision=precision)
-    configuration = msgspec.structs.replace(configuration, training=training)
-    fabric = make_fabric(request.device, devices=request.devices, precision=precision)
+    if request.wandb is not None:
+        try:
+            import wandb  # noqa: F401  # missing, it is missed before the data are prepared
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("wandb", "wandb", "--wandb") from error
+    fabric = make_fabric(request.device, devices=request.devices)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
     with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
@@ -178,6 +179,10 @@ def run(
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
     settings = configuration.training
     validation = None
+    if settings.precision == "auto" and (request.out / reports.RECORD).is_file():
+        # Timed by the session that began: another choice would be another training.
+        settings = reports.read_record(request.out).configuration.training
+        configuration = _with_precision(configuration, settings.precision)
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         given: Any = data
@@ -210,31 +215,50 @@ def run(
                 validation = Validation.prepare(data.tables, configuration, engine=engine)
     close_engine(engine)  # its workers have nothing more to do
     fabric.barrier()  # nobody may find the folder half made
-    if fabric.is_global_zero:
-        write_json(request.out / reports.RECORD, msgspec.to_builtins(record))  # now that everything fits together
 
-    def batches(start: int) -> Iterable[Any]:
+    def batches(start: int, workers: int = request.workers) -> Iterable[Any]:
         rank, world_size = fabric.global_rank, fabric.world_size
         order = LengthBatches(data, settings.batch_size, settings.seed, rank, world_size, start)
-        return load_batches(data, order, workers=request.workers, pinned=fabric.device.type == "cuda")
+        return load_batches(data, order, workers=workers, pinned=fabric.device.type == "cuda")
+
+    if configuration.training.precision == "auto":
+        timed = faster_precision(module, next(iter(batches(0, 0))), fabric.device) if fabric.is_global_zero else None
+        configuration = _with_precision(configuration, fabric.broadcast(timed))
+        record = msgspec.structs.replace(record, configuration=configuration)
+    wandb_run = None
+    if fabric.is_global_zero:
+        write_json(request.out / reports.RECORD, msgspec.to_builtins(record))  # now that everything fits together
+        if request.wandb is not None:
+            wandb_run = reports.wandb_run(request.out, request.wandb, record)
 
     def validate(module: TrainingModule) -> Row:
         assert validation is not None
-        with fabric.autocast():  # the precision of the training
-            return validation.measure(module, fabric.device)
+        return validation.measure(module, fabric.device)
 
     def describe(state: TrainingState) -> dict[str, Any]:
         return reports.training_card(record, state, fabric.device, request.threads)
 
     told: dict[str, Any] = {"describe": describe, "validate": validate, "report": report}
+    if wandb_run is not None:
+        told["log"] = wandb_run.log
     try:
         state = fit(module, batches, configuration, request.out, fabric=fabric, **told)
     except TrainingStopped as stopped:
         if fabric.is_global_zero:
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
         raise SystemExit(0) from stopped
-    trained = TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step)
+    finally:
+        if wandb_run is not None:
+            wandb_run.finish()
+    best = state.best_validation()
+    best_step = None if best is None else int(best["step"])
+    trained = TrainedNetwork(weights=request.out / reports.WEIGHTS, steps=state.step, best_step=best_step)
     return trained if fabric.is_global_zero else None
+
+
+def _with_precision(configuration: TrainingConfiguration, precision: Any) -> TrainingConfiguration:
+    training = msgspec.structs.replace(configuration.training, precision=precision)
+    return msgspec.structs.replace(configuration, training=training)
 
 
 def _data(request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine) -> Items:

@@ -1,8 +1,8 @@
 """Everything that changes while training goes on, and the checkpoints that hold it.
 
-The exponential moving average of the weights is what is validated and saved (docs/specification/mdm.md#training). The
-learning rate is a pure function of the step. A checkpoint is a folder, ``safetensors`` and JSON, written whole; the
-newest ones are kept.
+The exponential moving average of the weights is what is validated and saved (docs/specification/mdm.md#training), as
+it was at the best validation. The learning rate is a pure function of the step. A checkpoint is a folder,
+``safetensors`` and JSON, written whole; the newest ones are kept.
 """
 
 from __future__ import annotations
@@ -57,20 +57,23 @@ class WeightAverage:
         torch._foreach_lerp_(averages, parameters, 1 - decay)  # pyright: ignore[reportPrivateImportUsage]
 
     @contextlib.contextmanager
-    def applied(self) -> Iterator[None]:
-        """Put the averages in the module's place while the block runs, and the weights back afterwards, to the bit."""
-        self._exchange()
+    def applied(self, values: dict[str, torch.Tensor] | None = None) -> Iterator[None]:
+        """Put averages in the module's place while the block runs, and the weights back afterwards, to the bit.
+
+        Args:
+            values: Averages of an earlier step; by default those of now.
+        """
+        own = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
+        self._set(values or self.averages)
         try:
             yield
         finally:
-            self._exchange()
+            self._set(own)
 
     @torch.no_grad()
-    def _exchange(self) -> None:
+    def _set(self, values: dict[str, torch.Tensor]) -> None:
         for name, parameter in self.parameters.items():
-            held = parameter.detach().clone()
-            parameter.copy_(self.averages[name])
-            self.averages[name].copy_(held)
+            parameter.copy_(values[name])
 
 
 @dataclass
@@ -83,6 +86,8 @@ class TrainingState:
         losses: Sums since the last line of the log; kept on their device, because reading them would make a GPU wait.
         batches: Batches in these sums.
         rows: The log so far; holds no times, so that two undisturbed trainings have the same.
+        validations: What every validation measured.
+        best: The averages as they were at the best validation; empty before the first one that counts.
     """
 
     module: TrainingModule
@@ -93,6 +98,7 @@ class TrainingState:
     batches: int = 0
     rows: list[Row] = field(default_factory=list)
     validations: list[Row] = field(default_factory=list)
+    best: dict[str, torch.Tensor] = field(default_factory=dict)
 
     @classmethod
     def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
@@ -113,11 +119,31 @@ class TrainingState:
             optimisers.append(torch.optim.Muon([group], rate, decay, adjust_lr_fn="match_rms_adamw"))
         return cls(module, tuple(optimisers), average)
 
+    def best_validation(self) -> Row | None:
+        """Return the first validation with the lowest loss, of those that can be compared with the last one."""
+        first = self.module.comparable_from()
+        comparable = [row for row in self.validations if row["step"] >= first and "loss" in row]
+        return min(comparable, key=lambda row: row["loss"], default=None)
+
+    def add_validation(self, row: Row) -> None:
+        """Take in what was measured of the averages, and keep them if they are the best so far."""
+        self.validations.append(row)
+        if self.best_validation() is row:
+            self.best = {name: average.clone() for name, average in self.average.averages.items()}
+
+    def exhausted(self, patience: int) -> bool:
+        """Return True once ``patience`` validations in a row have not been better than the best; 0 waits for ever."""
+        best = self.best_validation()
+        if not patience or best is None:
+            return False
+        return len(self.validations) - 1 - self.validations.index(best) >= patience
+
     def tensors(self) -> dict[str, torch.Tensor]:
         """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
         frozen = {name for name, parameter in self.module.named_parameters() if not parameter.requires_grad}
         own = self.module.state_dict()
         tensors = {f"module.{name}": tensor for name, tensor in own.items() if name not in frozen}
+        tensors |= {f"best.{name}": tensor for name, tensor in self.best.items()}
         for name, parameter in self.average.parameters.items():
             tensors[f"average.{name}"] = self.average.averages[name]
             for optimiser in self.optimisers:
@@ -133,8 +159,8 @@ class TrainingState:
             TrainingError: if they are those of another network.
         """
         own = self.tensors()
-        wanted = {name for name in own if not name.startswith("optimiser.")}
-        found = {name for name in tensors if not name.startswith("optimiser.")}
+        wanted = {name for name in own if not name.startswith(("optimiser.", "best."))}
+        found = {name for name in tensors if not name.startswith(("optimiser.", "best."))}
         odd = sorted(wanted ^ found) or sorted(name for name in wanted if own[name].shape != tensors[name].shape)
         if odd:
             raise TrainingError(
@@ -143,6 +169,9 @@ class TrainingState:
             )
         for name in wanted:
             own[name].copy_(tensors[name])
+        for name, average in self.average.averages.items():
+            if f"best.{name}" in tensors:
+                self.best[name] = tensors[f"best.{name}"].to(average.device, copy=True)
         names = {id(parameter): name for name, parameter in self.average.parameters.items()}
         for optimiser in self.optimisers:
             for parameter in (parameter for group in optimiser.param_groups for parameter in group["params"]):

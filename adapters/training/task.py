@@ -111,6 +111,10 @@ class TrainingModule(nn.Module):
         """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""
         return 1.0
 
+    def comparable_from(self) -> int:
+        """First step whose validation can be compared with the last one's; later for those that have phases."""
+        return 0
+
     def gradient_groups(self) -> Sequence[Sequence[nn.Parameter]]:
         """Return parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
         return (tuple(self.parameters()),)

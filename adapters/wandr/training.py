@@ -247,6 +247,10 @@ class WandrTraining(TrainingModule):
             total = torch.stack([weights.get(name, 1.0) * value for name, value in losses.items()]).sum()
             return {"loss": total, **{name: value.detach() for name, value in losses.items()}}
 
+    def comparable_from(self) -> int:
+        """Return the step at which chunks have their full length; validation takes single steps of recorded bodies."""
+        return self.objective.longest_chunk * self.objective.steps_per_chunk_frame
+
     def chunk_length(self, step: int, generator: torch.Generator) -> int:
         """Frames that the network runs on its own output in a step: from 0 to a number that grows; 0 in validation."""
         # Chunks grow with the training: an untrained network would stray within a few frames.

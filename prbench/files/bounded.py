@@ -275,6 +275,8 @@ def structured(path: Path, values: Any, form: type[Form], *, remedy: str = "") -
         named = re.search(r"unknown field `(.+)`", said)
         remedy = (named and did_you_mean(named[1], known).strip()) or remedy
         expected = f"what is known here: {', '.join(map(str, known))}" if known else "a value of the key's type"
+        if error.__cause__ is not None:  # what the class itself says of its values
+            expected = "values that fit together"
         raise InputFileError(path, place.rstrip("`"), expected=expected, found=said, remedy=remedy) from error
 
 

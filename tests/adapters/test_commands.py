@@ -66,16 +66,17 @@ def trained(data, tmp_path_factory):
 
 def test_a_training_prints_lines_and_leaves_weights_a_card_and_a_log(trained, data):
     out, printed, said = trained
-    assert printed == f"weights: {out / 'weights.safetensors'}\n"
+    card = read_json(out / "weights.json")
+    best = min(card["validation"], key=lambda row: row["loss"])["step"]
+    assert printed == f"weights: {out / 'weights.safetensors'} (of the best validation, after {best} of 8 steps)\n"
     lines = said.splitlines()
     assert [line.split(":")[0] for line in lines] == [
         "step 2/8", "step 4/8", "validation at 4", "step 6/8", "step 8/8", "validation at 8",
     ]  # fmt: skip
     assert "loss " in lines[0]
     assert "root " in lines[2]
-    card = read_json(out / "weights.json")
     assert (card["method"], card["stage"]) == ("toy", "pretrain")
-    assert (card["finished"], card["steps"], card["devices"]) == (True, 8, 1)
+    assert (card["finished"], card["steps"], card["best_step"], card["devices"]) == (True, 8, best, 1)
     assert card["configuration"]["model"] == {"width": 6}
     assert card["weights_sha256"] == file_digest(out / "weights.safetensors")
     assert card["parameters"] == 263 * 6 + 6 + 6 * 263 + 263
@@ -213,6 +214,59 @@ def test_without_the_extra_its_install_line_is_named(package, data, tmp_path, ca
     monkeypatch.setitem(sys.modules, package, None)
     assert main(command(data, tmp_path / "out")) == 9
     assert "pip install 'prbench[train]'" in capsys.readouterr().err
+
+
+def test_the_precision_is_timed_once_and_an_interrupted_training_goes_on_with_it(data, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("prbench_adapters.training.run.faster_precision", lambda *_: asked.append(1) or "bf16-mixed")
+    words = command(data, tmp_path / "out", "--set", "training.precision=auto")
+    monkeypatch.setenv(SIGNAL_VARIABLE, "4:SIGTERM")
+    assert main(words) == 143
+    monkeypatch.delenv(SIGNAL_VARIABLE)
+    assert main(words) == 0
+    assert len(asked) == 1
+    assert read_json(tmp_path / "out" / "weights.json")["configuration"]["training"]["precision"] == "bf16-mixed"
+
+
+class FakeWandb:
+    """Stands in for the package: one run by id, which goes on when it is opened again."""
+
+    def __init__(self) -> None:
+        self.logged, self.opened, self.finished = [], [], 0
+        self.Settings = dict
+
+    def init(self, **given):
+        self.opened.append(given)
+        return self
+
+    def log(self, values, step):
+        self.logged.append((step, *values))
+
+    def finish(self):
+        self.finished += 1
+
+
+def test_lines_of_the_log_go_to_weights_and_biases_too_into_one_run(data, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    words = command(data, out, *VALIDATED, "--wandb", "reaching")
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    assert main(words) == 9
+    assert "--wandb needs the package 'wandb'" in capsys.readouterr().err
+    assert not out.exists()
+    fake = FakeWandb()
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    monkeypatch.setenv(SIGNAL_VARIABLE, "4:SIGTERM")
+    assert main(words) == 143
+    monkeypatch.delenv(SIGNAL_VARIABLE)
+    assert main(words) == 0
+    first, second = fake.opened
+    assert first == second, "the id is kept"
+    assert (first["project"], first["name"], first["resume"], fake.finished) == ("reaching", "out", "allow", 2)
+    assert first["config"]["configuration"]["training"]["steps"] == 8
+    lines = [("train", "loss", "root", "learning_rate"), ("validation", "loss", "root")]
+    train, validation = (tuple(f"{group}/{name}" for name in names) for group, *names in lines)
+    steps = [(2, *train), (4, *validation), (4, *train), (6, *train), (8, *validation), (8, *train)]
+    assert fake.logged == steps
 
 
 def test_help_imports_neither_torch_nor_numpy():

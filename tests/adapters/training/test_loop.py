@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import signal
+import time
 from pathlib import Path
 
 import msgspec
@@ -19,7 +21,7 @@ from prbench_adapters.training.configuration import (
     ValidationConfiguration,
 )
 from prbench_adapters.training.dataset import MotionBatch
-from prbench_adapters.training.loop import Progress, fit, make_fabric
+from prbench_adapters.training.loop import Progress, faster_precision, fit, make_fabric
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import read_weights
 from tests.adapters.training.toy import Toy, random_batch, random_batches, rows_of, toy
@@ -32,6 +34,10 @@ SETTINGS = OptimisationConfiguration(
 
 def configuration(**changes):
     return TrainingConfiguration(model={}, training=msgspec.structs.replace(SETTINGS, **changes))
+
+
+def validated(**settings):
+    return msgspec.structs.replace(configuration(), validation=ValidationConfiguration(**settings))
 
 
 def signalled_in(step: int, number: signal.Signals):
@@ -195,24 +201,93 @@ def test_validation_sees_the_average_in_evaluation_mode_and_changes_nothing(unin
     def validate(module):
         seen.append((module.training, module.network[0].weight.clone()))
         torch.rand(5)  # draws of a validation must not reach the training
-        return {"loss": 1.0 + len(seen)}
+        return {"loss": 3.0 - len(seen)}
 
-    validated = msgspec.structs.replace(configuration(), validation=ValidationConfiguration(every=5))
-    state = fit(toy(), random_batches, validated, tmp_path, validate=validate)
-    assert final_files(tmp_path) == uninterrupted
+    state = fit(toy(), random_batches, validated(every=5), tmp_path, validate=validate)
+    weights, _, rows = final_files(tmp_path)
+    assert (weights, rows) == uninterrupted[::2], "the last weights are the best"
     assert [training for training, _ in seen] == [False, False]
-    assert state.validations == [{"step": 5, "loss": 2.0}, {"step": 7, "loss": 3.0}]
+    assert state.validations == [{"step": 5, "loss": 2.0}, {"step": 7, "loss": 1.0}]
     assert torch.equal(seen[1][1], state.average.averages["network.0.weight"])
     assert state.module.training
 
 
 def test_a_validation_that_a_stop_came_before_is_made_up_for(tmp_path):
-    validated = msgspec.structs.replace(configuration(), validation=ValidationConfiguration(every=5))
-
+    batches = signalled_in(5, signal.SIGTERM)
     with pytest.raises(TrainingStopped):
-        fit(toy(), signalled_in(5, signal.SIGTERM), validated, tmp_path, validate=lambda module: {"loss": 1.0})
-    state = fit(toy(), random_batches, validated, tmp_path, validate=lambda module: {"loss": 2.0})
+        fit(toy(), batches, validated(every=5), tmp_path, validate=lambda module: {"loss": 1.0})
+    state = fit(toy(), random_batches, validated(every=5), tmp_path, validate=lambda module: {"loss": 2.0})
     assert [row["step"] for row in state.validations] == [5, 7]
+
+
+class Judge:
+    """Measures given losses, one validation after the other, and remembers the weights that it saw."""
+
+    def __init__(self, *losses: float) -> None:
+        self.losses = list(losses)
+        self.seen = []
+
+    def __call__(self, module):
+        self.seen.append(module.network[0].weight.detach().clone())
+        return {"loss": self.losses[len(self.seen) - 1]}
+
+
+def written(out):
+    return read_weights(out / "weights.safetensors").tensors["toy.0.weight"]
+
+
+def test_the_weights_of_the_best_validation_are_kept_and_of_equal_ones_the_first(tmp_path):
+    judge = Judge(3.0, 1.0, 2.0, 1.0)
+    state = fit(toy(), random_batches, validated(every=2), tmp_path, validate=judge)
+    assert (state.step, state.best_validation()) == (7, {"step": 4, "loss": 1.0})
+    assert torch.equal(written(tmp_path), judge.seen[1])
+    assert not torch.equal(written(tmp_path), judge.seen[3])
+
+
+def test_validations_of_another_phase_and_without_a_value_are_never_the_best(tmp_path):
+    module = toy()
+    module.comparable_from = lambda: 4
+    judge = Judge(0.5, 3.0, 2.0, 4.0)
+    state = fit(module, random_batches, validated(every=2, patience=3), tmp_path, validate=judge)
+    assert state.best_validation() == {"step": 6, "loss": 2.0}
+    assert torch.equal(written(tmp_path), judge.seen[2])
+    lost = fit(toy(), random_batches, validated(every=7), tmp_path / "lost", validate=lambda module: {"root": 1.0})
+    assert (lost.best_validation(), lost.exhausted(1)) == (None, False)
+
+
+@pytest.mark.parametrize("step", [4, 5])  # before and after the best validation
+def test_a_training_ends_early_with_the_same_bits_however_often_it_is_interrupted(step, tmp_path):
+    ending = validated(every=2, patience=1)
+    state = fit(toy(), random_batches, ending, tmp_path / "whole", validate=Judge(3.0, 1.0, 2.0))
+    assert state.step == 6, "the third validation was not better, and one is waited for"
+    judge = Judge(3.0, 1.0, 2.0)
+    with pytest.raises(TrainingStopped):
+        fit(toy(), signalled_in(step, signal.SIGTERM), ending, tmp_path / "parts", validate=judge)
+    judge.losses = judge.losses[len(judge.seen) :]
+    judge.seen = []
+    for _ in range(2):  # the second call finds the training over
+        fit(toy(), random_batches, ending, tmp_path / "parts", validate=judge)
+    assert final_files(tmp_path / "parts") == final_files(tmp_path / "whole")
+    assert [row["step"] for row in final_files(tmp_path / "whole")[2]] == [4, 6]
+
+
+@pytest.mark.parametrize(("slow", "chosen"), [("bf16-mixed", "32-true"), ("32-true", "bf16-mixed"), (None, "32-true")])
+def test_the_precision_is_the_one_that_was_faster_and_trying_changes_nothing(slow, chosen, monkeypatch):
+    class Timed(Toy):
+        def forward(self, batch, step):
+            time.sleep(0.03 if (slow == "bf16-mixed") is torch.is_autocast_enabled("cpu") else 0.0)
+            return super().forward(batch, step)
+
+    monkeypatch.setattr("prbench_adapters.training.loop._TRIAL", 0.0)
+    module = Timed(6) if slow else toy()
+    before = {name: tensor.clone() for name, tensor in module.state_dict().items()}
+    random = torch.get_rng_state()
+    if slow is None:  # as fast as each other
+        monkeypatch.setattr("prbench_adapters.training.loop.time.perf_counter", itertools.count().__next__)
+    assert faster_precision(module, random_batch(0), torch.device("cpu")) == chosen
+    assert all(torch.equal(tensor, before[name]) for name, tensor in module.state_dict().items())
+    assert all(parameter.grad is None for parameter in module.parameters())
+    assert torch.equal(torch.get_rng_state(), random)
 
 
 def test_a_module_knows_how_often_it_will_be_called_and_may_scale_the_learning_rate(tmp_path):

@@ -166,12 +166,12 @@ def test_rows_can_be_read_back_by_tensorboard_and_those_after_a_resumption_repla
     first = Outputs(*given, dtype="float32", resumed_at=0)
     for step in (1, 2, 3):
         first.add({"step": step, "loss": float(step)}, group="train")
-    first.log.flush()  # killed here, after step 3, while the last checkpoint is that of step 2
+    first.tensorboard.flush()  # killed here, after step 3, while the last checkpoint is that of step 2
     second = Outputs(*given, dtype="float32", resumed_at=2)
     second.add({"step": 3, "loss": 30.0}, group="train")
     second.add({"step": 3, "loss": 5.0}, group="validation")
-    second.log.close()
-    first.log.close()
+    second.tensorboard.close()
+    first.tensorboard.close()
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     logged = {name: [(row.step, row.value) for row in events.Scalars(name)] for name in events.Tags()["scalars"]}
