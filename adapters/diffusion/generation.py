@@ -31,7 +31,7 @@ from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Network, frame_mask
 from prbench_adapters.diffusion.goal_frame import Joints, bones, unit
-from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
+from prbench_adapters.diffusion.model import USUAL_PARTS, MotionModel
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
 Lengths = Int[np.ndarray, " batch"]  # frames
@@ -242,8 +242,7 @@ class SamplingSettings:
     Attributes:
         guidance: Weight s of the text; 1 takes one network pass a step, anything else two.
         steps: Steps of the training schedule that are taken; None for all of them.
-        reach: ``goal`` leads the nearer wrist to a goal location within the last half second, in closed form.
-        feet: ``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are.
+        parts: What decoding of goal-frame features constructs (:data:`.goal_frame.PARTS`).
         noise_scale: Standard deviation of the noise that sampling starts from. Above the 1 of training, several motions
             of one sequence differ more; 0 gives the one motion of no noise.
     """
@@ -251,8 +250,7 @@ class SamplingSettings:
     guidance: float
     sampler: Literal["ddpm", "ddim"] = "ddpm"
     steps: int | None = None
-    reach: Reach = "predicted"
-    feet: Feet = "steps"
+    parts: frozenset[str] = USUAL_PARTS
     noise_scale: float = 1.0
 
 
@@ -284,7 +282,7 @@ def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettin
                 clean = sample_ddpm(
                     denoise, model.schedule, start, lambda _, noise=noise: noise.draw(columns), steps=settings.steps
                 )
-            found = model.joints(clean, own, lengths, reach=settings.reach, feet=settings.feet)
+            found = model.joints(clean, own, lengths, parts=settings.parts)
         joints[rows, : found.shape[1]] = found.cpu().numpy()
         passes += denoise.passes
     return Motions(bodies.own(joints), batch.n_frames, Cost(passes))

@@ -9,11 +9,17 @@ location, or where a goal pose faces. Each frame of a motion is 68 numbers:
 * the ankles and the wrists (12): a planted foot and a hand at its goal are numbers that do not change;
 * whether each foot is planted (2).
 
-Decoding keeps what is given. Knees and elbows follow from the lengths of the bones of the initial pose, so that all
-bones keep them. The first frame is the initial pose, the second one goes on with the initial velocity, and the last one
-is a goal pose if there is one: what a network predicts for them is corrected, and the correction fades out within
-:data:`FADE` seconds. Neighbouring frames are
-averaged with weights 1, 2, 1, which leaves a fifth of the jerk of independent errors.
+Decoding constructs what the network need not learn (:data:`PARTS`), each of which can be left out:
+
+* ``bones``: knees and elbows follow from the lengths of the bones of the initial pose, so that all bones keep them;
+  without, the lower bone of a limb stretches where a wrist or an ankle is predicted out of its reach;
+* ``first``: the first frame is the initial pose, the second one goes on with the initial velocity, and the last one is
+  a goal pose if there is one: what a network predicts for them is corrected, and the correction fades out within
+  :data:`FADE` seconds;
+* ``smooth``: neighbouring frames are averaged with weights -1, 4, 10, 4, -1, which leave movement up to 3 Hz as it is,
+  and a third of the jerk of independent errors;
+* ``feet``: each foot stands or swings (:mod:`prbench_adapters.diffusion.footsteps`) instead of gliding;
+* ``reach``: the wrist that ends nearer to the goal is led up to it.
 """
 
 from __future__ import annotations
@@ -57,6 +63,9 @@ N_POSE_FEATURES = _PLACES.stop
 N_GOAL_FRAME_FEATURES = N_POSE_FEATURES + len(TOES)
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
+# What decoding constructs, and what of it a network is trained with.
+PARTS = frozenset({"bones", "first", "smooth", "feet", "reach"})
+TRAINED_WITH = PARTS - {"feet", "reach"}
 _SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its gradient, finite
 _CERTAIN = 0.5  # of a foot's contact, which is 1 where it is planted, else 0
 _TOUCH = 0.05  # metres between wrist and goal: a hand holds an object, the wrist is not inside it
@@ -129,23 +138,24 @@ class GoalFrame:
         return torch.cat([part.flatten(2) for part in (pelvis, self._turned(directions), ends)], dim=2)
 
     def decode(
-        self, features: Features, n_frames: Counts, fps: float, *, steps: bool = False, reach: bool = False
+        self, features: Features, n_frames: Counts, fps: float, *, parts: frozenset[str] = TRAINED_WITH
     ) -> Joints:
-        """Canonical joints, metres, with the bones, the first frame and the goal pose that are given.
+        """Canonical joints, metres.
 
         Args:
             features: Not standardised.
             n_frames: Valid frames of each row.
             fps: Frames per second.
-            steps: Let each foot stand or swing (:mod:`prbench_adapters.diffusion.footsteps`) instead of gliding.
-            reach: Lead the wrist that ends nearer to the goal up to it.
+            parts: What is constructed, of :data:`PARTS`.
         """
-        # Smooth features of unit directions, with the frames that are given.
-        smooth = smoothed(features[..., :N_POSE_FEATURES], n_frames)
-        before, directions, after = smooth.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
-        directions = unit(directions.unflatten(-1, (-1, 3))).flatten(-2)
-        pose = self._kept(torch.cat((before, directions, after), dim=-1), n_frames, fps)
-        if steps:
+        pose = features[..., :N_POSE_FEATURES]
+        if "smooth" in parts:
+            pose = smoothed(2 * pose - smoothed(pose, n_frames), n_frames)
+        before, directions, after = pose.tensor_split((_DIRECTIONS.start, _DIRECTIONS.stop), dim=-1)
+        pose = torch.cat((before, unit(directions.unflatten(-1, (-1, 3))).flatten(-2), after), dim=-1)
+        if "first" in parts:
+            pose = self._kept(pose, n_frames, fps)
+        if "feet" in parts:
             # Ankles move so that toes stand or swing instead of gliding.
             stands = (features[..., N_POSE_FEATURES:] > _CERTAIN).cpu().numpy()
             with torch.no_grad():
@@ -154,23 +164,32 @@ class GoalFrame:
             for move, wanted, on_floor, n in zip(moves, toes, stands, n_frames.tolist(), strict=True):
                 move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
             pose = self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
-        if reach:
+        if "reach" in parts:
             pose = self._reaching(pose, n_frames, fps)
-        return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
+        return self._canonical(pose, parts)
 
-    def led_to_goal(self, joints: Joints, n_frames: Counts, fps: float) -> Joints:
-        """Finished canonical joints on the bones of the initial pose, with the nearer wrist led up to the goal.
+    def led_to_goal(self, joints: Joints, n_frames: Counts, fps: float, *, parts: frozenset[str]) -> Joints:
+        """Finished canonical joints with the nearer wrist led up to the goal.
 
         Args:
             joints: Metres.
             n_frames: Valid frames of each row.
             fps: Frames per second.
+            parts: What was constructed; of it the bones are looked at.
         """
-        pose = self._reaching(self._pose_features(joints), n_frames, fps)
-        return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
+        return self._canonical(self._reaching(self._pose_features(joints), n_frames, fps), parts)
 
-    def _joints(self, features: Flat) -> Joints:
-        """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""
+    def _canonical(self, pose: Flat, parts: frozenset[str]) -> Joints:
+        joints = self._joints(pose, stretched="bones" not in parts)
+        return self._turned(joints, back=True) + self.origin[:, None, None]
+
+    def _joints(self, features: Flat, *, stretched: bool = False) -> Joints:
+        """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends.
+
+        Args:
+            features: Numbers of the pose.
+            stretched: Put the ends where they are predicted, even where the bones are too short for that.
+        """
         pelvis = features[:, :, None, :3]
         directions = unit(features[..., _DIRECTIONS].unflatten(2, (-1, 3)))
         targets = features[..., _PLACES].unflatten(2, (-1, 3))
@@ -194,6 +213,7 @@ class GoalFrame:
         height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
         aside = unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
         middles, ends = roots + along * foot + aside * height, roots + along * distance
+        ends = targets if stretched else ends
         toes = ends[:, :, : len(TOES)] + feet * self._lengths_to(TOES)
         order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
         together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, padded, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser, Network
-from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
+from prbench_adapters.diffusion.goal_frame import PARTS, GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
@@ -25,10 +24,8 @@ Tokens = Float[torch.Tensor, "texts tokens dimension"]
 # Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB.
 _MOST_TEXTS = 65_536
 KIND = "denoiser"
-# Where a motion ends: as the network predicts it, or with a wrist at the goal.
-Reach = Literal["predicted", "goal"]
-# How the feet of goal-frame features move: they stand or swing, or stay as the network predicts them.
-Feet = Literal["steps", "predicted"]
+# What decoding of goal-frame features constructs unless it is asked for other parts.
+USUAL_PARTS = PARTS - {"reach"}
 
 
 class TextVectors:
@@ -157,8 +154,7 @@ class MotionModel:
         condition: EncodedCondition,
         n_frames: Counts,
         *,
-        reach: Reach = "predicted",
-        feet: Feet = "steps",
+        parts: frozenset[str] = USUAL_PARTS,
     ) -> Float[torch.Tensor, "batch frames 22 3"]:
         """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least.
 
@@ -166,16 +162,14 @@ class MotionModel:
             normalised: Features that the network has made.
             condition: What it was told: goal-frame features are measured from it.
             n_frames: Valid frames of each row.
-            reach: ``goal`` leads a wrist to the goal at the end, which takes goal-frame features.
-            feet: ``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are.
+            parts: What decoding of goal-frame features constructs (:data:`.goal_frame.PARTS`).
         """
         # Decoding sums up over frames, for which half precision is too coarse.
         features = normalised if normalised.dtype == torch.float64 else normalised.float()
         features = features * self.std + self.mean
         if self.configuration.features == "humanml3d":
             return decode(smoothed(features, n_frames) if self.configuration.smoothed else features)
-        frame = goal_frame(condition, features)
-        return frame.decode(features, n_frames, self.configuration.fps, steps=feet == "steps", reach=reach == "goal")
+        return goal_frame(condition, features).decode(features, n_frames, self.configuration.fps, parts=parts)
 
 
 def network(configuration: DenoiserConfiguration) -> Network:

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
 from prbench_adapters.diffusion.generation import choice, number, whole_number
-from prbench_adapters.diffusion.model import Reach
+from prbench_adapters.diffusion.model import USUAL_PARTS
 from prbench_adapters.diffusion.sampling import Spacing
 from prbench_adapters.tensors import TensorRecord
 
@@ -34,6 +34,7 @@ Latent = Float[torch.Tensor, "batch frames features"]
 
 Hand = Literal["right", "left", "nearest"]
 Bones = Literal["predicted", "initial"]
+Reach = Literal["predicted", "goal"]
 
 _FAST_PASSES = 400
 _FAST_STEPS = 4
@@ -64,6 +65,7 @@ class OptimisationSettings:
         bones: Lengths of the bones: as the network predicts them, or those of the initial pose (not in the study).
         reach: ``goal`` leads the nearer wrist of the result to a goal location in closed form, as far as it has not
             come there yet; goal-frame features alone.
+        parts: What decoding of goal-frame features constructs in every iteration (:data:`.goal_frame.PARTS`).
         guidance: Scale of classifier-free guidance; anything but 1 doubles the network passes.
         keep: Iterate that is the result: the last, or the one with the lowest initial plus goal loss.
         stop_below: Initial and goal loss, m², below which a sequence is finished; None runs all iterations.
@@ -83,6 +85,7 @@ class OptimisationSettings:
     hand: Hand = "right"
     bones: Bones = "predicted"
     reach: Reach = "predicted"
+    parts: frozenset[str] = USUAL_PARTS
     guidance: float = 1.0
     keep: Literal["last", "best"] = "last"
     stop_below: float | None = None

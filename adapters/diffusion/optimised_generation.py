@@ -57,7 +57,7 @@ class UnrolledChain:
         """Joints of every sequence, canonical frame, metres."""
         walk = {name: getattr(self.settings, name) for name in ("spacing", "checkpointing")}
         clean = sample_ddim(self._denoise, self._schedule, noise, steps=self.settings.ddim_steps, **walk)
-        joints = self.model.joints(clean, self.condition, self.n_frames)
+        joints = self.model.joints(clean, self.condition, self.n_frames, parts=self.settings.parts)
         return joints if self.lengths is None else generation.with_bone_lengths(joints, self.lengths)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
@@ -146,7 +146,8 @@ def generate_optimised(
     found = optimise_noise(model, condition, targets, n_frames, noise, settings, seeds=seeds, objective=objective)
     joints = found.joints
     if settings.reach == "goal" and batch.goal_location is not None:
-        joints = goal_frame(condition, joints).led_to_goal(joints, n_frames, model.configuration.fps)
+        frame = goal_frame(condition, joints)
+        joints = frame.led_to_goal(joints, n_frames, model.configuration.fps, parts=settings.parts)
     cost = Cost(network_passes=int(found.network_passes.sum()))
     return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
@@ -21,14 +21,16 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation import OptimisationSettings
+    from prbench_adapters.finishing import Finishing
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
 
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
-_BONES = ("predicted", "initial")
-_SAMPLING_ALONE = ("sampler", "steps", "feet", "noise-scale")
-_OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other features do not have
+_SAMPLING_ALONE = ("sampler", "steps", "noise-scale")
+# What is constructed after the network, and how; ``predicted`` leaves it to the network. The last three are parts of
+# goal-frame features.
+_CONSTRUCTED = {"bones": "initial", "feet": "steps", "first": "given", "smooth": "averaged", "reach": "goal"}
 
 
 @dataclass(frozen=True)
@@ -37,13 +39,13 @@ class TrainedFor:
 
     Attributes:
         settings: Settings of plain sampling, or of noise optimisation.
-        own_bones: Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting.
+        finishing: What is done to motions of features that do not bring their own.
     """
 
     model: MotionModel
     path: Path
     settings: SamplingSettings | OptimisationSettings
-    own_bones: bool = False
+    finishing: Finishing | None = None
 
 
 class PR:
@@ -79,13 +81,14 @@ class PR:
         """
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
-        from prbench_adapters.diffusion.generation import SamplingSettings, generate, on_own_bones
+        from prbench_adapters.diffusion.generation import SamplingSettings, generate
         from prbench_adapters.diffusion.optimised_generation import generate_optimised
 
         if isinstance(trained.settings, SamplingSettings):
             motions = generate(trained.model, batch, trained.settings)
-            return on_own_bones(motions, batch) if trained.own_bones else motions
-        return generate_optimised(trained.model, batch, trained.settings)
+        else:
+            motions = generate_optimised(trained.model, batch, trained.settings)
+        return motions if trained.finishing is None else trained.finishing(motions, batch)
 
     def _trained_for(self, condition: Condition) -> TrainedFor:
         if condition in self.models:
@@ -101,12 +104,12 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`; without optimisation
-    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
-    ``feet`` (steps: they stand or swing; or predicted: as the network has them) and ``noise-scale`` (1: deviation of
-    the noise that sampling starts from; with 2 several motions for one goal differ more); ``reach`` (predicted, or
-    goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
-    (predicted, or initial for the initial pose's lengths); ``text-path`` (files of the text encoder,
-    if the weights need one that has some).
+    ``sampler`` (ddpm, ddim, or one-pass for weights of few steps, which needs no ``optimise=off``), ``steps`` and
+    ``noise-scale`` (1: deviation of the noise that sampling starts from; with 2 several motions for one goal differ
+    more); ``guidance`` (1); ``text-path`` (files of the text encoder, if the weights need one that has some); and what
+    is constructed, each of which ``predicted`` leaves to the network: ``bones`` (initial), ``feet`` (steps), and with
+    goal-frame features ``first`` (given), ``smooth`` (averaged) and ``reach`` (goal: a wrist is led to a goal location
+    at the end; the default with ``fast`` alone).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -122,7 +125,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known
     from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
 
-    own = ("optimise", "text-path", "feet", "noise-scale")
+    own = ("optimise", "text-path", "noise-scale", *_CONSTRUCTED)
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -144,6 +147,7 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
     from prbench_adapters.diffusion.generation import ONE_PASS
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.sampling import MOST_PASSES
+    from prbench_adapters.finishing import Finishing
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -151,25 +155,29 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         found = f"found one of goal '{model.configuration.goal}'."
         remedy = "Choose weights that `prbench train --method pr --stage finetune` made."
         raise AdapterError(f"weights {path}: expected a model of goal {' or '.join(wanted)}, {found} {remedy}")
-    idle = [key for key, value in _OF_GOAL_FRAMES.items() if options.get(key) == value]
-    if idle and model.configuration.features != "goal-frame":
-        found = f"found one of {model.configuration.features}. Leave the option out, or choose other weights."
-        raise AdapterError(f"option '{idle[0]}': weights {path}: expected a model of goal-frame features, {found}")
+    finishing = None
+    if model.configuration.features != "goal-frame":
+        idle = [key for key in ("first", "smooth") if key in options]
+        if idle or options.get("reach") == "goal":
+            found = f"found one of {model.configuration.features}. Leave the option out, or choose other weights."
+            option = (*idle, "reach")[0]
+            raise AdapterError(f"option '{option}': weights {path}: expected a model of goal-frame features, {found}")
+        finishing = Finishing.of(options)
     steps = model.configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS and steps > MOST_PASSES:
         why = f"one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
-        advice = "Train some with --set model.diffusion_steps=4, or choose optimise=off."
+        advice = f"Train some with --set model.diffusion_steps={MOST_PASSES}, or choose optimise=off."
         raise AdapterError(f"option 'sampler': {why} {advice}")
-    return TrainedFor(model, path, *_settings(options, model.configuration))
+    return TrainedFor(model, path, _settings(options, model.configuration), finishing)
 
 
 def _settings(
     options: Mapping[str, str], configuration: DenoiserConfiguration
-) -> tuple[SamplingSettings | OptimisationSettings, bool]:
-    """Turn the options into settings for a model, and whether sampled motions get the initial pose's bones."""
+) -> SamplingSettings | OptimisationSettings:
+    """Turn the options into settings for a model."""
     from prbench_adapters.diffusion import noise_optimisation as noise
     from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
-    from prbench_adapters.diffusion.model import Feet, Reach
+    from prbench_adapters.diffusion.model import USUAL_PARTS
 
     steps = configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS:
@@ -180,20 +188,22 @@ def _settings(
                 raise ValueError(f"option '{key}': sampler=one-pass takes the passes of the weights alone; {remedy}")
         options = {**options, "optimise": "off"}
     mode = choice(options, "optimise", _MODES)
+    parts = USUAL_PARTS
+    for part, value in _CONSTRUCTED.items():
+        usual = value if part in parts else "predicted"
+        chosen = choice(options, part, (value, "predicted"), usual)
+        parts = parts - {part} if chosen == "predicted" else parts | {part}
     if mode == "off":
-        idle = [key for key in noise.PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "reach")]
+        idle = [key for key in noise.PRIME_AND_REACH_OPTIONS if key in options and key not in _CONSTRUCTED]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=(*SAMPLERS, ONE_PASS))
-        reach = cast(Reach, choice(options, "reach", get_args(Reach)))
-        feet = cast(Feet, choice(options, "feet", get_args(Feet)))
-        sampling = replace(sampling, reach=reach, feet=feet, noise_scale=number(options, "noise-scale", 1.0))
-        return sampling, choice(options, "bones", _BONES) == "initial"
+        return replace(sampling, parts=parts, noise_scale=number(options, "noise-scale", 1.0))
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
         remedy = "choose optimise=off, or leave it out."
         raise ValueError(f"option '{idle[0]}' belongs to sampling without noise optimisation; {remedy}")
     quick = noise.finishing if configuration.features == "goal-frame" else noise.fast
     preset = {"fast": quick, "paper": noise.paper}[mode](steps)
-    preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
-    return noise.optimisation_settings(options, preset, diffusion_steps=steps), False
+    preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE), parts=parts - {"reach"})
+    return noise.optimisation_settings(options, preset, diffusion_steps=steps)

@@ -72,6 +72,14 @@ def test_leading_a_wrist_to_the_goal_changes_the_last_half_second_alone(few_step
         assert np.abs(led.joints[row, n - 1] - predicted.joints[row, n - 1]).max() > 0.01
 
 
+@pytest.mark.parametrize("part", ["bones", "feet", "first", "smooth"])
+@pytest.mark.parametrize("way", [{"sampler": "one-pass"}, {"optimise": "fast", "iterations": "1"}])
+def test_each_part_that_is_constructed_can_be_switched_off(few_steps, part, way):
+    constructed = _generate(load(few_steps, options=way, device="cpu"), Condition.GOAL_LOCATION)
+    alone = _generate(load(few_steps, options={**way, part: "predicted"}, device="cpu"), Condition.GOAL_LOCATION)
+    assert _largest_change(constructed, alone) > 1e-3
+
+
 @pytest.mark.parametrize("dropped", ["goal", "initial_pose", "initial_velocity", "text"])
 def test_a_dropped_condition_changes_nothing(tmp_path, dropped):
     path = tiny.write(tmp_path / "dropped.safetensors", goal="location", dropped=(dropped,))

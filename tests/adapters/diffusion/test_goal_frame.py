@@ -10,6 +10,8 @@ from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint, head_forward
 from prbench_adapters.diffusion.goal_frame import (
     N_GOAL_FRAME_FEATURES,
     N_POSE_FEATURES,
+    PARTS,
+    TRAINED_WITH,
     GoalFrame,
     head_axes,
     planted,
@@ -67,7 +69,7 @@ def test_a_motion_is_decoded_from_its_features_and_conditions_have_their_size(go
 def test_whatever_a_network_says_bones_and_given_poses_are_kept(goal):
     frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS) if goal == "location" else JOINTS[:, -1]))
     features = torch.randn((2, FRAMES, N_GOAL_FRAME_FEATURES), generator=torch.Generator().manual_seed(1))
-    found = frame.decode(features, LENGTHS, FPS, steps=True)
+    found = frame.decode(features, LENGTHS, FPS, parts=PARTS - {"reach"})
     parents, children = np.transpose(BONES)
     lengths = (found[:, :, children] - found[:, :, parents]).norm(dim=-1)
     assert float((lengths / frame.lengths[:, None] - 1).abs().max()) < 2e-3
@@ -96,8 +98,8 @@ def test_padding_leaves_no_trace():
     wild = features.clone()
     wild[:, 10:] = 50.0
     short = torch.tensor([10, 10])
-    found = frame.decode(features, short, FPS, steps=True, reach=True)[:, :10]
-    torch.testing.assert_close(frame.decode(wild, short, FPS, steps=True, reach=True)[:, :10], found, rtol=0, atol=1e-5)
+    found = frame.decode(features, short, FPS, parts=PARTS)[:, :10]
+    torch.testing.assert_close(frame.decode(wild, short, FPS, parts=PARTS)[:, :10], found, rtol=0, atol=1e-5)
 
 
 def test_feet_that_glide_are_made_to_step():
@@ -108,7 +110,7 @@ def test_feet_that_glide_are_made_to_step():
     for start in (0, _FIRST_ANKLE, _FIRST_ANKLE + 3):
         features[..., start : start + 3] += ahead
     gliding = frame.decode(features, LENGTHS, FPS)[:, 12:, TOES]
-    found = frame.decode(features, LENGTHS, FPS, steps=True)[:, 12:]
+    found = frame.decode(features, LENGTHS, FPS, parts=PARTS - {"reach"})[:, 12:]
     assert float(gliding.diff(dim=1).norm(dim=-1).amin()) > 0.01
     assert float(found[:, :, TOES].diff(dim=1).norm(dim=-1).amin(dim=-1).max()) < 2e-3, "one foot stands"
     knees = found[:, :, (Joint.LEFT_KNEE, Joint.RIGHT_KNEE)]
@@ -128,10 +130,45 @@ def test_the_nearer_wrist_is_led_to_the_goal_at_the_end_and_nothing_changes_befo
     frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS)))
     features = frame.encode(JOINTS, FPS)
     before = frame.decode(features, LENGTHS, FPS)
-    after = frame.decode(features, LENGTHS, FPS, reach=True)
+    after = frame.decode(features, LENGTHS, FPS, parts=PARTS - {"feet"})
     distance = (after[:, -1][:, WRISTS] - _location(JOINTS)[:, None]).norm(dim=-1).amin(dim=1)
     assert float(distance.max()) < 0.07
     torch.testing.assert_close(after[:, : FRAMES - 11], before[:, : FRAMES - 11], rtol=0, atol=1e-6)
+
+
+PARTS_LEFT_OUT = {
+    # What is left out, and how far from the network's own words the motion then is not any more.
+    "first": lambda joints: float((joints[:, 0] - JOINTS[:, 0]).norm(dim=-1).mean()),
+    "smooth": lambda joints: float(joints.diff(n=3, dim=1).norm(dim=-1).mean()),
+    "bones": lambda joints: float((_lower_arm(joints) - _lower_arm(JOINTS)).abs().max()),
+}
+
+
+def _lower_arm(joints: torch.Tensor) -> torch.Tensor:
+    return (joints[:, :, Joint.LEFT_WRIST] - joints[:, :, Joint.LEFT_ELBOW]).norm(dim=-1)
+
+
+@pytest.mark.parametrize("part", PARTS_LEFT_OUT)
+def test_each_part_of_the_construction_can_be_left_to_the_network(part):
+    frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS)))
+    noise = torch.randn((2, FRAMES, N_GOAL_FRAME_FEATURES), generator=torch.Generator().manual_seed(3))
+    features = frame.encode(JOINTS, FPS) + 0.1 * noise
+    constructed = PARTS_LEFT_OUT[part](frame.decode(features, LENGTHS, FPS, parts=TRAINED_WITH))
+    left = PARTS_LEFT_OUT[part](frame.decode(features, LENGTHS, FPS, parts=TRAINED_WITH - {part}))
+    assert left > 1.5 * constructed + 0.02
+
+
+def test_averaging_leaves_slow_movement_alone_and_takes_what_alternates():
+    frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS)))
+    still = frame.encode(JOINTS[:, :1].repeat(1, FRAMES, 1, 1), FPS)
+    time = torch.arange(FRAMES) / FPS
+    slow = 0.02 * torch.sin(2 * np.pi * 2.0 * time)
+    for movement, kept in ((slow, 1.0), (0.02 * (-1.0) ** torch.arange(FRAMES), 0.0)):
+        features = still.clone()
+        features[..., 1] += movement
+        height = frame.decode(features, LENGTHS, FPS)[:, 12:-2, Joint.PELVIS, 1]
+        expected = (still[:, 12:-2, 1] + kept * movement[12:-2]).expand_as(height)
+        torch.testing.assert_close(height, expected, rtol=0, atol=4e-4)
 
 
 def test_head_axes_are_those_that_the_metric_mixes():

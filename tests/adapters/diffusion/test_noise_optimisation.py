@@ -353,7 +353,7 @@ class GoldenModel:
     mean: torch.Tensor
     std: torch.Tensor
 
-    def joints(self, normalised, condition, n_frames):
+    def joints(self, normalised, condition, n_frames, **_):
         return tensors.decode(normalised * self.std + self.mean)
 
 
