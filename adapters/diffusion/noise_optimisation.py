@@ -41,7 +41,7 @@ _FAST_STEPS = 4
 # Options that go with the objective ``keyframes``.
 KEYFRAME_OPTIONS = ("ddim-steps", "iterations", "learning-rate", "decorrelation", "hand", "bones")
 # Options that go with the objective ``prime_and_reach``.
-PRIME_AND_REACH_OPTIONS = (*KEYFRAME_OPTIONS, "reach", "alpha", "initial-velocity-weight")
+PRIME_AND_REACH_OPTIONS = (*KEYFRAME_OPTIONS, "reach", "alpha")
 _MOST_ITERATIONS = 100_000
 
 
@@ -81,7 +81,6 @@ class OptimisationSettings:
     jerk_weight: float = 0.5
     jerk_power: float | None = None
     decorrelation_weight: float = 1000.0
-    initial_velocity_weight: float = 0.0
     hand: Hand = "right"
     bones: Bones = "predicted"
     reach: Reach = "predicted"
@@ -160,7 +159,6 @@ def optimisation_settings(
         learning_rate=number(options, "learning-rate", preset.learning_rate),
         jerk_weight=number(options, "alpha", preset.jerk_weight),
         decorrelation_weight=number(options, "decorrelation", preset.decorrelation_weight),
-        initial_velocity_weight=number(options, "initial-velocity-weight", preset.initial_velocity_weight),
         hand=cast(Hand, choice(options, "hand", get_args(Hand), preset.hand)),
         bones=cast(Bones, choice(options, "bones", get_args(Bones), preset.bones)),
         reach=cast(Reach, choice(options, "reach", get_args(Reach), preset.reach)),
@@ -192,7 +190,6 @@ class Targets(TensorRecord):
     """Initial states and goals of B motions, canonical frame, metres; exactly one of the two goals is given."""
 
     initial_joints: Poses
-    previous_joints: Poses
     goal_joints: Poses | None = None
     goal_location: Float[torch.Tensor, "batch 3"] | None = None
 
@@ -215,9 +212,6 @@ def prime_and_reach(joints: Joints, n_frames: Counts, targets: Targets, settings
     power = settings.jerk_power
     jerk = largest_jerk(joints, n_frames) if power is None else jerk_norm(joints, n_frames, power)
     minimised = initial + pursued + settings.jerk_weight * jerk
-    if settings.initial_velocity_weight:
-        velocity = _squared_distance(joints[:, 1] - joints[:, 0], targets.initial_joints - targets.previous_joints)
-        minimised = minimised + settings.initial_velocity_weight * velocity
     return Losses(minimised, initial, goal)
 
 

@@ -158,9 +158,9 @@ def targets_of(batch: ConditionBatch, device: torch.device) -> noise_optimisatio
     Raises:
         ValueError: if the batch has no initial state.
     """
-    if batch.initial_joints is None or batch.previous_joints is None:
+    if batch.initial_joints is None:
         raise ValueError(f"noise optimisation cannot use the condition '{batch.condition.value}'")
-    names = ("initial_joints", "previous_joints", "goal_joints", "goal_location")
+    names = ("initial_joints", "goal_joints", "goal_location")
     given = {name: value for name in names if (value := getattr(batch, name)) is not None}
     tensor = partial(torch.as_tensor, dtype=torch.float32, device=device)
     return noise_optimisation.Targets(**{name: tensor(value) for name, value in given.items()})

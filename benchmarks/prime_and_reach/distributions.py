@@ -5,7 +5,7 @@ Source: docs/specification/metrics.md#distributions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +13,19 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.datasets import ON_SYNTHETIC_DATA
-from prbench.errors import RunError
 from prbench.geometry.skeleton import Joint, head_forward
 from prbench.harness.diversity import MotionsToGoal, timing
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import clustered, difference_interval
-from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
 from prbench.metrics import MotionBatch
 from prbench.metrics.footing import footing, swings
-from prbench.protocol.manifests import MetricConstants, load_protocol
+from prbench.protocol.manifests import MetricConstants
 from prbench.sequences import SequenceTable
 from prbench.tables import Block, Cell, Column, Row, Table
 from prbench.viewing.replay.read import RunMotions
+from prbench_benchmarks.prime_and_reach.diversity import Progress, require_motions, rules_of
 
-# Called with finished sequences, all of them, and the dataset.
-Progress = Callable[[int, int, str], None]
 # Title and unit of each feature by its id.
 FEATURES = {
     "head_yaw_rate": ("Head yaw rate, largest", "°/s"),
@@ -115,63 +112,54 @@ def features(
     trunk = (joints[:, :, Joint.NECK] - joints[:, :, Joint.PELVIS])[np.arange(count), nearest]
     prime = min(int(np.floor(prime_time * fps + 0.5)), n_frames - 1)
     jerk = np.diff(joints, n=3, axis=1) * fps**3
-    # Steps: the mean over the swings of both feet.
+    # Steps: sums over the swings of both feet.
     batch = MotionBatch.from_motions(list(joints))
-    swung = [[], [], [], []]
+    swung = np.zeros((4, count))
     for toe, up, down in swings(batch, footing(batch, np.full(count, fps), constants)):
         place = batch.columns[toe]
         highest = [place[1, first : last + 1].max() for first, last in zip(up, down, strict=True)]
-        swung[0].append(batch.sequence_of_row[up])
-        swung[1].append(highest - (place[1, up] + place[1, down]) / 2)
-        swung[2].append((down - up) / fps)
-        swung[3].append(np.hypot(place[0, down] - place[0, up], place[2, down] - place[2, up]))
-    of_motion, lift, time, length = map(np.concatenate, swung)
-    number = np.bincount(of_motion, minlength=count)
-    with np.errstate(invalid="ignore"):
-        lift, time, length = (
-            np.bincount(of_motion, weights=each, minlength=count) / number for each in (lift, time, length)
-        )
-        ratio = np.where(away.max(axis=1) >= constants.drag_way, steps.sum(axis=1) / away.max(axis=1), np.nan)
+        lift = np.array(highest) - (place[1, up] + place[1, down]) / 2
+        length = np.hypot(*(place[:, down] - place[:, up])[[0, 2]])
+        np.add.at(swung.T, batch.sequence_of_row[up], np.stack([np.ones(len(up)), lift, (down - up) / fps, length], 1))
+    swung = np.where(swung[0] > 0, swung / np.maximum(swung[0], 1), np.nan)
+    goes = away.max(axis=1) >= constants.drag_way
     values = {
         "head_yaw_rate": np.rad2deg(np.abs(turn * (level[:, 1:] & level[:, :-1])).max(axis=1)) * fps,
         "wrist_speed": np.linalg.norm(np.diff(wrist, axis=1), axis=-1).max(axis=1) * fps,
         "pelvis_speed": steps.max(axis=1) * fps,
-        "toe_lift": lift,
-        "swing_time": time,
-        "step_length": length,
+        "toe_lift": swung[1],
+        "swing_time": swung[2],
+        "step_length": swung[3],
         "wrist_arrival": (n_frames - 1) / fps - moments.wrist_arrival,
         "look_to_reach": moments.wrist_arrival - moments.prime,
         "trunk_bend": np.rad2deg(np.arctan2(np.hypot(trunk[:, 0], trunk[:, 2]), trunk[:, 1])),
         "head_pitch": np.rad2deg(np.arctan2(head[:, prime, 1], np.hypot(x, z)[:, prime])),
-        "path_ratio": ratio,
+        "path_ratio": np.where(goes, steps.sum(axis=1) / np.where(goes, away.max(axis=1), 1.0), np.nan),
         "jitter": np.sqrt((jerk**2).sum(axis=-1).mean(axis=(1, 2))) if n_frames > 3 else np.zeros(count),
     }
     return {name: np.round(values[name], _DECIMALS) for name in FEATURES}
 
 
 def largest_difference(
-    people: Float[np.ndarray, " n"], method: Float[np.ndarray, "n samples"]
+    people: Float[np.ndarray, " n"], predicted: Float[np.ndarray, "n samples"]
 ) -> Float[np.ndarray, " n"]:
     """Return each sequence's part in the Kolmogorov-Smirnov distance: its mean over sequences is the distance.
 
     At the value where the shares of motions that are at most as large differ most, the part is the share of the
     sequence's motions that are, less 1 if people's is; with the sign that makes the distance positive.
     """
-    values = np.unique(np.concatenate([people, method.ravel()]))
-    shares = [np.searchsorted(np.sort(side.ravel()), values, side="right") / side.size for side in (method, people)]
-    apart = shares[0] - shares[1]
-    place = np.abs(apart).argmax()
-    part = (method <= values[place]).mean(axis=1) - (people <= values[place])
-    return part if apart[place] >= 0 else -part
+    values = np.unique(np.concatenate([people, predicted.ravel()]))
+    ours, theirs = (np.searchsorted(np.sort(x.ravel()), values, side="right") / x.size for x in (predicted, people))
+    place = np.abs(ours - theirs).argmax()
+    part = (predicted <= values[place]).mean(axis=1) - (people <= values[place])
+    return part if ours[place] >= theirs[place] else -part
 
 
 def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> _Measured:
     dataset = table.info.dataset
     samples = [RunMotions.open(run, dataset, label="", sample=sample) for sample in range(run.record.samples)]
-    names = frozenset(name for name in cases_of_run(run, table)[2].sequence_ids if name in samples[0])
-    if not names:
-        raise RunError(f"{run.path}: expected motions on {dataset}, found none. Run it again: it resumes.")
-    constants = (run.protocol or load_protocol()).metrics
+    names = frozenset(require_motions(run, table))
+    constants = rules_of(run).metrics
     recordings: list[str] = []
     rows = []
     for chunk in table.chunks(columns=[*_COLUMNS, "joints"], ids=names, rows=64):
@@ -192,48 +180,42 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> _Meas
 
 def _table(run: RunFolder, dataset: str, measured: _Measured, *, synthetic: bool) -> Table:
     recordings = np.array(measured[0], dtype=object)
-    record = run.record
+    about: dict[str, Any] = {"dataset": dataset, "condition": run.record.condition, "method": run.record.method.name}
     rows = []
     passed = 0
     for name, (title, unit) in FEATURES.items():
         values = measured[1][name]
         both = np.isfinite(values).all(axis=1)  # without a swing, or a way, a motion has no value
-        people, method = values[both, 0], values[both, 1:]
-        words = {"feature": title, "unit": unit}
+        words = {"feature": title, "unit": unit, "sequences": str(both.sum())}
         if not both.any():
-            rows.append(Row(text={**words, "passes": "no values"}))
+            rows.append(Row(text=words))
             continue
-        distance, _ = difference_interval(clustered(largest_difference(people, method), recordings[both], rate=True))
-        passes = distance.mean <= MOST
-        passed += passes
+        sides = {"people": values[both, 0], "predicted": values[both, 1:]}
+        part = largest_difference(**sides)
+        distance, _ = difference_interval(clustered(part, recordings[both], rate=True))
         low = None if distance.low is None else max(distance.low, 0.0)
-        spread = method.std() / people.std() if people.std() > 0 else None
-        about: dict[str, Any] = {"dataset": dataset, "condition": record.condition, "variant": name}
-        about |= {"method": record.method.name, "sequences": distance.n_sequences}
-        about |= {"recordings": distance.n_recordings}
-        cells = (
-            Cell(metric="people", value=float(people.mean()), sd=float(people.std()), unit=unit, **about),
-            Cell(metric="predicted", value=float(method.mean()), sd=float(method.std()), unit=unit, **about),
-            Cell(metric="ks", value=distance.mean, low=low, high=distance.high, **about),
-            Cell(metric="spread_ratio", value=spread, unit="ratio", **about),
-        )
-        words["passes"] = "yes" if passes else "no"
-        rows.append(Row(text={**words, "sequences": str(len(people))}, cells=cells))
+        about |= {"variant": name, "sequences": distance.n_sequences, "recordings": distance.n_recordings}
+        cells = [
+            Cell(metric=side, value=float(each.mean()), sd=float(each.std()), unit=unit, **about)
+            for side, each in sides.items()
+        ]
+        cells.append(Cell(metric="ks", value=distance.mean, low=low, high=distance.high, **about))
+        if cells[0].sd:
+            cells.append(Cell(metric="spread_ratio", value=cells[1].sd / cells[0].sd, unit="ratio", **about))
+        passed += distance.mean <= MOST
+        words["passes"] = "yes" if distance.mean <= MOST else "no"
+        rows.append(Row(text=words, cells=tuple(cells)))
+    columns = [Column(key=name, title=name, text=True) for name in ("feature", "unit", "sequences")]
+    columns += [Column(key="people", title="people", digits=3), Column(key="predicted", title="method", digits=3)]
+    columns += [Column(key="ks", title="KS", better="lower"), Column(key="spread_ratio", title="spread ratio")]
     said = "A feature passes whose KS distance is at most 0.15; the interval is by recording. ± one standard deviation."
     return Table(
         title=(
-            f"{run.path.name}: {record.method.name}, condition {record.condition}, on {dataset}: {passed} of"
+            f"{run.path.name}: {run.record.method.name}, condition {run.record.condition}, on {dataset}: {passed} of"
             f" {len(FEATURES)} features are distributed as recorded people's"
         ),
         dataset=dataset,
-        columns=(
-            *(Column(key=name, title=name, text=True) for name in ("feature", "unit", "sequences")),
-            Column(key="people", title="people", digits=3),
-            Column(key="predicted", title="method", digits=3),
-            Column(key="ks", title="KS", better="lower"),
-            Column(key="spread_ratio", title="spread ratio"),
-            Column(key="passes", title="passes", text=True),
-        ),
+        columns=(*columns, Column(key="passes", title="passes", text=True)),
         blocks=(Block(rows=tuple(rows)),),
         notes=(said, *((ON_SYNTHETIC_DATA,) if synthetic else ())),
     )

@@ -73,7 +73,7 @@ def read_fan(
     """
     opened = _require_several(RunFolder.open(run))
     tables = tables_of_runs([opened], data)
-    held = {name: table for table in tables for name in _predicted(opened, table)}
+    held = {name: table for table in tables for name in predicted_sequences(opened, table)}
     if not held:
         raise RunError(f"{run}: expected motions of one sequence or more, found none. Run the same command again.")
     among = ", ".join(table.info.dataset for table in tables)
@@ -95,7 +95,7 @@ def read_fan(
         synthetic=info.synthetic,
         groups=tuple(groups),
         shows_goal=shown,
-        constants=_rules(opened).metrics,
+        constants=rules_of(opened).metrics,
         notice=notice(info, permitted),
     )
 
@@ -116,22 +116,33 @@ def _require_several(run: RunFolder) -> RunFolder:
     return run
 
 
-def _rules(run: RunFolder) -> BenchmarkProtocol:
+def rules_of(run: RunFolder) -> BenchmarkProtocol:
+    """Return the protocol of a run; the built-in one where it kept none."""
     return run.protocol or load_protocol()
 
 
-def _predicted(run: RunFolder, table: SequenceTable) -> list[str]:
-    """Sequences of which the run holds motions."""
+def predicted_sequences(run: RunFolder, table: SequenceTable) -> list[str]:
+    """Return the sequences of which the run holds motions."""
     motions = RunMotions.open(run, table.info.dataset, label="")
     return [name for name in cases_of_run(run, table)[2].sequence_ids if name in motions]
 
 
-def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table:
-    constants = _rules(run).metrics
-    info = table.info
-    names = _predicted(run, table)
+def require_motions(run: RunFolder, table: SequenceTable) -> list[str]:
+    """Return the sequences of which the run holds motions.
+
+    Raises:
+        RunError: if there are none.
+    """
+    names = predicted_sequences(run, table)
     if not names:
-        raise RunError(f"{run.path}: expected motions on {info.dataset}, found none. Run it again: it resumes.")
+        raise RunError(f"{run.path}: expected motions on {table.info.dataset}, found none. Run it again: it resumes.")
+    return names
+
+
+def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table:
+    constants = rules_of(run).metrics
+    info = table.info
+    names = require_motions(run, table)
     recordings: list[str] = []
     method: list[dict[str, float]] = []
     people: list[dict[str, float]] = []
@@ -154,22 +165,22 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
         said = "People: the table has too few recordings to put people beside one another."
     notes = [said]
     rows = []
-    for spread in SPREADS:
-        own = np.array([values[spread.id] for values in method])
+    for spread, (title, unit) in SPREADS.items():
+        own = np.array([values[spread] for values in method])
         estimates = {"method": mean_interval(clustered(own, recordings), nonnegative=True)}
         if people:
-            theirs = np.array([values[spread.id] for values in people])
+            theirs = np.array([values[spread] for values in people])
             estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
             estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
         about: dict[str, Any] = {"dataset": info.dataset, "condition": run.record.condition}
         about["method"] = run.record.method.name
-        about |= {"variant": spread.id, "unit": spread.unit}
+        about |= {"variant": spread, "unit": unit}
         cells = []
         for name, each in estimates.items():
             about |= {"value": each.mean, "low": each.low, "high": each.high, "note": "; ".join(each.marks)}
             about |= {"sequences": each.n_sequences, "recordings": each.n_recordings}
             cells.append(Cell(metric=name, **about))
-        rows.append(Row(text={"measure": spread.title, "unit": spread.unit}, cells=tuple(cells)))
+        rows.append(Row(text={"measure": title, "unit": unit}, cells=tuple(cells)))
         if "few_recordings" in estimates["method"].marks and len(notes) == 1:
             notes.append("Few recordings (below ten): the intervals say little.")
     if info.synthetic:

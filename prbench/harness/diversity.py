@@ -21,26 +21,17 @@ _SHORTEST_PATH = 1e-6  # m; below, a path has no places along it
 _ROUNDING = 1e-9  # m; half of an even way is covered in the same frame whichever way it goes
 
 
-@dataclass(frozen=True)
-class SpreadInfo:
-    """One measure of diversity, for tables."""
-
-    id: str
-    title: str
-    unit: str
-    meaning: str
-
-
-SPREADS = (
-    SpreadInfo("apd", "APD", "m", "mean distance of two motions, over all frames and coordinates together"),
-    SpreadInfo("apd_joint", "APD per joint", "m", "the same, root mean square of a joint in a frame"),
-    SpreadInfo("apd_pose", "APD per joint, pose", "m", "the same of poses alone, relative to the pelvis"),
-    SpreadInfo("path", "Path of the pelvis", "m", "mean distance of two ways over the ground, whatever their speed"),
-    SpreadInfo("prime_time", "Prime time", "s", "standard deviation of the first look of the head that stays"),
-    SpreadInfo("half_way", "Half of the way", "s", "standard deviation of the time at which it is covered"),
-    SpreadInfo("wrist_arrival", "Arrival of the wrist", "s", "standard deviation of the time"),
-    SpreadInfo("wrist_speed", "Speed of the wrist", "m/s", "mean difference of two speeds in one frame"),
-)
+# Title and unit of each measure by its id.
+SPREADS = {
+    "apd": ("APD", "m"),
+    "apd_joint": ("APD per joint", "m"),
+    "apd_pose": ("APD per joint, pose", "m"),
+    "path": ("Path of the pelvis", "m"),
+    "prime_time": ("Prime time", "s"),
+    "half_way": ("Half of the way", "s"),
+    "wrist_arrival": ("Arrival of the wrist", "s"),
+    "wrist_speed": ("Speed of the wrist", "m/s"),
+}
 
 
 @dataclass(frozen=True, eq=False)

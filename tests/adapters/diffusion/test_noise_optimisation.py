@@ -74,7 +74,7 @@ def test_every_option_changes_something_and_none_changes_nothing():
         assert optimisation_settings({}, preset, diffusion_steps=1000) == preset
     other = {
         "ddim-steps": "3", "iterations": "9", "learning-rate": "1", "alpha": "2", "decorrelation": "3",
-        "initial-velocity-weight": "4", "hand": "left", "bones": "initial", "reach": "goal",
+        "hand": "left", "bones": "initial", "reach": "goal",
     }  # fmt: skip
     assert set(other) == {*KEYFRAME_OPTIONS, *PRIME_AND_REACH_OPTIONS}
     preset = OptimisationSettings()
@@ -95,7 +95,7 @@ def _standing(frames=5, batch=1):
 
 def _wanted(**changes):
     zeros = torch.zeros(1, 22, 3)
-    given = {"initial_joints": zeros, "previous_joints": zeros, **changes}
+    given = {"initial_joints": zeros, **changes}
     if "goal_joints" not in given:
         given.setdefault("goal_location", torch.zeros(1, 3))
     return Targets(**given)
@@ -174,13 +174,6 @@ def test_the_soft_minimum_pulls_the_nearer_wrist_only_once_it_is_clearly_nearer(
     assert gradient[0, -1, Joint.RIGHT_WRIST, 0].abs().item() < 1e-9
 
 
-def test_the_initial_velocity_counts_when_asked_for():
-    targets = _wanted(previous_joints=torch.full((1, 22, 3), -0.1))  # 0.1 m a frame along each axis
-    without = _prime_and_reach(_standing(), targets, jerk_weight=0.0)
-    weighted = _prime_and_reach(_standing(), targets, jerk_weight=0.0, initial_velocity_weight=2.0)
-    assert (weighted.minimised - without.minimised).item() == pytest.approx(2.0 * 0.03)
-
-
 def test_keyframes_are_mean_absolute_errors_over_all_coordinates_asked_for():
     joints = _standing()
     joints[0, 0, 0, 0], joints[0, -1, Joint.RIGHT_WRIST, 1] = 0.69, -0.69
@@ -234,7 +227,7 @@ SETTINGS = OptimisationSettings(iterations=50, warmup=5, learning_rate=0.5, deco
 
 def _targets(batch, *, goal=(0.4, 1.0, 0.6)):
     zeros = torch.zeros(batch, 22, 3)
-    return _wanted(initial_joints=zeros, previous_joints=zeros, goal_location=torch.tensor([goal] * batch))
+    return _wanted(initial_joints=zeros, goal_location=torch.tensor([goal] * batch))
 
 
 class Trace:
@@ -379,9 +372,7 @@ def _published(arrays, settings, watch):
     return optimise_noise(
         model,
         condition,
-        _wanted(
-            initial_joints=target[:, 0], previous_joints=target[:, 0], goal_location=target[:, -1, 21].contiguous()
-        ),
+        _wanted(initial_joints=target[:, 0], goal_location=target[:, -1, 21].contiguous()),
         torch.full((len(noise),), noise.shape[1]),
         noise,
         settings,

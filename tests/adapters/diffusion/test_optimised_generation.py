@@ -97,7 +97,7 @@ def _solve(rows):
     return optimise_noise(
         model,
         model.encode(tiny.text_batch(n_frames), texts=tuple(tiny.TEXTS[row % 2] for row in rows)),
-        Targets(initial_joints=initial, previous_joints=initial, goal_location=locations),
+        Targets(initial_joints=initial, goal_location=locations),
         torch.tensor(n_frames),
         start_noise(seeds, np.array(n_frames)),
         QUICK,
