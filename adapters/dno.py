@@ -15,6 +15,7 @@ from typing import Any
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench_adapters.diffusion.method import SingleModelMethod, bundled_names, require_goals_within_reach, resolve
+from prbench_adapters.finishing import FINISHING_OPTIONS, Finishing
 
 DEFAULT_WEIGHTS = "mdm-small"
 _NO_PROMPT = "none"
@@ -28,8 +29,8 @@ class DNO(SingleModelMethod):
     name = "dno"
     conditions = frozenset({Condition.GOAL_POSE, Condition.GOAL_LOCATION})
 
-    def __init__(self, model: Any, weights: Path, settings: Any, *, prompt: str = _NO_PROMPT) -> None:
-        super().__init__(model, weights, settings)
+    def __init__(self, model: Any, weights: Path, settings: Any, *, prompt: str, finishing: Finishing) -> None:
+        super().__init__(model, weights, settings, finishing=finishing)
         self.prompt = prompt
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
@@ -45,14 +46,16 @@ class DNO(SingleModelMethod):
         texts = batch.text
         if self.prompt != _OWN_PROMPT:
             texts = ("" if self.prompt == _NO_PROMPT else self.prompt,) * len(batch)
-        return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=texts)
+        motions = generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=texts)
+        return self.finishing(motions, batch)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DNO:
     """Entry point ``dno``.
 
     Options: ``optimise`` (fast or paper), ``prompt`` (none, own for each sequence's text, or any text), ``guidance``
-    (1), ``text-path``, and ``KEYFRAME_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation`.
+    (1), ``text-path``, ``feet`` (steps or predicted), and ``KEYFRAME_OPTIONS`` of
+    :mod:`prbench_adapters.diffusion.noise_optimisation`.
 
     Args:
         weights: File, folder or name of bundled weights of a text-to-motion model; None for ``mdm-small``.
@@ -68,7 +71,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     from prbench_adapters.diffusion.generation import choice, number, require_known
     from prbench_adapters.diffusion.model import MotionModel, require_goal
 
-    require_known(options, ("optimise", "prompt", "guidance", "text-path", *noise.KEYFRAME_OPTIONS))
+    own = ("optimise", "prompt", "guidance", "text-path", *FINISHING_OPTIONS)
+    require_known(options, (*own, *noise.KEYFRAME_OPTIONS))
     # The default belongs to another method, which a user may have removed.
     if weights is None and DEFAULT_WEIGHTS not in bundled_names():
         why = "(part of the method mdm) is not installed. Give --weights of a text-to-motion model."
@@ -77,9 +81,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")
     steps = model.configuration.diffusion_steps
+    preset = noise.dno_fast(steps) if choice(options, "optimise", _MODES) == "fast" else noise.dno_paper(steps)
     # The initial pose is given; bones of its lengths cost the goal nothing, where the prior's waver by a quarter.
-    quick = replace(noise.fast(steps), bones="initial")
-    preset = quick if choice(options, "optimise", _MODES) == "fast" else noise.dno_paper(steps)
-    preset = replace(preset, guidance=number(options, "guidance", preset.guidance))
+    preset = replace(preset, bones="initial", guidance=number(options, "guidance", preset.guidance))
     settings = noise.optimisation_settings(options, preset, diffusion_steps=steps)
-    return DNO(model, path, settings, prompt=options.get("prompt", _NO_PROMPT))
+    return DNO(model, path, settings, prompt=options.get("prompt", _NO_PROMPT), finishing=Finishing.of(options))

@@ -29,6 +29,7 @@ _LOW = 0.05  # metres above the floor below which it must be, too: ``foot_height
 _MET = 0.05  # metres, mean over the joints, up to which the last frame is the goal pose
 _SHORTEST = 1e-9  # metres; keeps the direction of a vanished bone finite
 _STRETCHED = 0.999  # share of thigh and shank that a leg reaches, so that its knee keeps a side to bend to
+_BEGINNING = 0.5  # seconds over which the correction of the first frame fades out; choice: about a step
 _EASE = 0.3  # seconds over which the body comes down before a leg would be too short; choice
 _HIPS = (Joint.LEFT_HIP, Joint.RIGHT_HIP)
 _KNEES = (Joint.LEFT_KNEE, Joint.RIGHT_KNEE)
@@ -40,7 +41,8 @@ class Finishing:
     """Which of both is done.
 
     Attributes:
-        bones: Every bone has the length of the given first pose; without one, that of the motion's own first frame.
+        bones: Every bone has the length of the given first pose, in which the motion begins; without one, that of the
+            motion's own first frame.
         feet: Feet stand or swing.
     """
 
@@ -72,8 +74,14 @@ class Finishing:
         if batch.goal_joints is not None:
             last = motions.joints[np.arange(len(batch)), motions.n_frames - 1]
             met = _length(last - batch.goal_joints).mean(axis=-1) <= _MET
-        joints = finish(motions.joints, motions.n_frames, batch.fps, lengths=lengths, feet=self.feet, keep_last=met)
-        return replace(motions, joints=joints)
+        joints = motions.joints
+        if self.bones and batch.initial_joints is not None:
+            # What a motion lacks to begin in the given pose fades out, before its last frame.
+            fading = np.clip(motions.n_frames - 1, 1, _BEGINNING * batch.fps)[:, None]
+            share = 0.5 + 0.5 * np.cos(np.pi * np.minimum(np.arange(joints.shape[1]) / fading, 1))
+            joints = joints + share[..., None, None] * (batch.initial_joints - joints[:, 0])[:, None]
+        joints = finish(joints, motions.n_frames, batch.fps, lengths=lengths, feet=self.feet, keep_last=met)
+        return replace(motions, joints=joints.astype(motions.joints.dtype))
 
 
 def finish(

@@ -141,7 +141,8 @@ def _sampled(
     primitives = _primitives(model, batch)
     # Longest first, so that the sequences which have a primitive are always the first rows.
     going_on = [int((primitives > number).sum()) for number in range(int(primitives.max()))]
-    previous, initial = (DART.from_y_up(each) for each in (targets.previous_joints, targets.initial_joints))
+    previous = DART.from_y_up(torch.as_tensor(batch.previous_joints).to(targets.initial_joints))
+    initial = DART.from_y_up(targets.initial_joints)
     frames, placement = rollout.first_history(previous, initial)
     history = model.scaling.standardised(frames)
     denoiser = rollout.GuidedDenoiser(model.denoiser, model.text_vectors(batch.text), settings.guidance)

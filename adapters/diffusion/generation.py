@@ -144,13 +144,6 @@ def with_bone_lengths(joints: Joints, lengths: Float[torch.Tensor, "batch 21"]) 
     return moved + sunk[..., None, None] * moved.new_tensor((0.0, 1.0, 0.0))
 
 
-def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
-    """Return the motions with the bone lengths of the initial pose in every frame."""
-    lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
-    joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
-    return replace(motions, joints=joints.numpy())
-
-
 # Sequences in one pass, on a processor, where more run no faster and need more memory, and elsewhere.
 _LARGEST_PARTS = (16, 256)
 

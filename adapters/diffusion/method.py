@@ -13,6 +13,7 @@ import numpy as np
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, did_you_mean
 from prbench.geometry.skeleton import Joint
+from prbench_adapters.finishing import Finishing
 
 _SUFFIX = ".safetensors"
 
@@ -152,10 +153,12 @@ class SingleModelMethod:
         model: The frozen model.
         weights: The file that it came from.
         settings: How it generates.
+        finishing: What is done to the motions afterwards; bones and feet unless given.
     """
 
-    def __init__(self, model: Any, weights: Path, settings: Any) -> None:
+    def __init__(self, model: Any, weights: Path, settings: Any, *, finishing: Finishing | None = None) -> None:
         self.model, self.weights, self.settings = model, weights, settings
+        self.finishing = finishing or Finishing()
         self.max_frames: int | None = getattr(model.configuration, "max_frames", None)
         self.native_fps: float = model.configuration.fps
 

@@ -18,10 +18,12 @@ from prbench.geometry.skeleton import N_JOINTS
 from prbench_adapters.diffusion import generation
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
+from prbench_adapters.diffusion.model import SMOOTHINGS
+from prbench_adapters.finishing import FINISHING_OPTIONS, Finishing
 from prbench_adapters.gmd.model import GMDModel, decode_absolute
 from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, Keyframes, sample_motion, sample_trajectory
 
-_OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "bones", "text-path")
+_OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "text-path", *FINISHING_OPTIONS)
 # Sequences in one pass, on a processor and elsewhere; their activations are kept for the gradient.
 _LARGEST_PARTS = (16, 64)
 
@@ -39,16 +41,15 @@ class GMD(SingleModelMethod):
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the model knows.
         """
         require_goals_within_reach(batch, adapter=self.name)
-        return generate(self.model, batch, self.settings)
+        return self.finishing(generate(self.model, batch, self.settings), batch)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GMD:
     """Entry point ``gmd``.
 
     Options: ``keyframes`` (root, or pose to impute both given poses), ``guidance`` (2.5), ``goal-scale`` (100, weight
-    of the goal's gradient), ``steps`` (of each stage; all of the training's), ``bones`` (predicted, or initial for the
-    lengths of the initial pose),
-    ``text-path`` (files of the text encoder, if the weights need one that has some).
+    of the goal's gradient), ``steps`` (of each stage; all of the training's), ``text-path`` (files of the text encoder,
+    if the weights need one that has some), and ``FINISHING_OPTIONS``.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``gmd-small``.
@@ -68,9 +69,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
         goal_scale=generation.number(options, "goal-scale", GMDSettings.goal_scale),
         keyframes=cast("Keyframes", generation.choice(options, "keyframes", ("root", "pose"))),
         steps=generation.whole_number(options, "steps", most=model.configuration.diffusion_steps),
-        bones="initial" if generation.choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )
-    return GMD(model, path, settings)
+    return GMD(model, path, settings, finishing=Finishing.of(options))
 
 
 def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> Motions:
@@ -109,13 +109,12 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
         keyframes = ends.root_keyframes()
         trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
         features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
-        if model.configuration.smoothed:
+        for _ in range(SMOOTHINGS if model.configuration.smoothed else 0):
             features = smoothed(features, n_frames)
         own = decode_absolute(features).cpu().numpy()
         joints[rows, : own.shape[1]] = own
         passes += trajectory_network.passes + motion_network.passes
-    motions = Motions(bodies.own(joints), batch.n_frames, Cost(passes))
-    return generation.on_own_bones(motions, batch) if settings.bones == "initial" else motions
+    return Motions(bodies.own(joints), batch.n_frames, Cost(passes))
 
 
 def _tensor(values: np.ndarray, model: GMDModel) -> torch.Tensor:

@@ -14,7 +14,16 @@ from torch import Tensor
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
-from prbench_adapters.gmd.model import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, TemporalUNet, half_turn_of, pose_columns
+from prbench_adapters.gmd.model import (
+    HEADING,
+    N_POSE,
+    N_ROOT,
+    ROOT_XZ,
+    FeatureSpace,
+    TemporalUNet,
+    half_turn_of,
+    pose_columns,
+)
 
 Columns = Float[Tensor, "batch frames columns"]
 Features = Float[Tensor, "batch frames 263"]
@@ -54,6 +63,10 @@ class RootGoal:
         anchors = torch.where(self.wanted[..., None], self.xz, 0.0)
         start, end = (anchors.gather(1, place[..., None].expand_as(anchors)) for place in (before, reached))
         return RootGoal(torch.lerp(start, end, progress[..., None]), after < frames)
+
+    def bent(self, root: Float[Tensor, "batch frames 2"]) -> Float[Tensor, "batch frames 2"]:
+        """Return a path that is moved to where it is wanted, and between two such frames by a share of both moves."""
+        return root + RootGoal(self.xz - root, self.wanted).line().xz
 
 
 # Standardised values, and the columns that sampling overwrites by them.
@@ -181,14 +194,12 @@ class GMDSettings:
         guidance: Weight s of the text; 1 takes one network pass a step, anything else two.
         goal_scale: Weight of the gradient of the goal; 0 computes none.
         steps: Steps of the training schedule that each stage takes; None for all of them.
-        bones: Lengths of the bones: those that the network gives them, or those of the initial pose.
     """
 
     guidance: float = 2.5
     goal_scale: float = 100.0
     keyframes: Keyframes = "root"
     steps: int | None = None
-    bones: Literal["predicted", "initial"] = "predicted"
 
 
 class GuidedNetwork(Guidance):
@@ -253,8 +264,12 @@ def sample_trajectory(
         # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so that
         # it may bend. The original leaves the last steps free, and the root some centimetres beside its keyframes.
         imputed = on_line if index >= line_from else at_keyframes
-        state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
-    return space.restored(state)
+        fresh = noise.draw(N_ROOT)
+        if i:
+            state = imputed_by_noising(chain, i, state, imputed, fresh)
+    # The last estimate is some centimetres beside its keyframes. Overwritten there it would jump, so the way is bent.
+    path = space.restored(state)
+    return torch.cat((path[..., HEADING], keyframes.bent(path[..., ROOT_XZ]), path[..., ROOT_XZ.stop :]), dim=-1)
 
 
 def sample_motion(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench_adapters.diffusion.method import TEXT_GUIDANCE, SingleModelMethod, late, resolve
+from prbench_adapters.finishing import FINISHING_OPTIONS, Finishing
 
 DEFAULT_WEIGHTS = "mdm-small"
 
@@ -25,14 +26,14 @@ class MDM(SingleModelMethod):
         """Sample one motion for each row."""
         from prbench_adapters.diffusion.generation import generate
 
-        return generate(self.model, batch, self.settings)
+        return self.finishing(generate(self.model, batch, self.settings), batch)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MDM:
     """Entry point ``mdm``.
 
     Options: ``guidance`` (2.5), ``sampler`` (ddpm or ddim), ``steps`` (all of the training's), ``text-path``
-    (files of the text encoder, if the weights need one that has some).
+    (files of the text encoder, if the weights need one that has some), and ``FINISHING_OPTIONS``.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``mdm-small``.
@@ -47,12 +48,13 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known, sampling_settings
     from prbench_adapters.diffusion.model import MotionModel, require_goal
 
-    require_known(options, (*SAMPLING_OPTIONS, "text-path"))
+    require_known(options, (*SAMPLING_OPTIONS, *FINISHING_OPTIONS, "text-path"))
     path = resolve(weights, DEFAULT_WEIGHTS)
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     require_goal(model, path, "none")
     steps = model.configuration.diffusion_steps
-    return MDM(model, path, sampling_settings(options, guidance=TEXT_GUIDANCE, diffusion_steps=steps))
+    settings = sampling_settings(options, guidance=TEXT_GUIDANCE, diffusion_steps=steps)
+    return MDM(model, path, settings, finishing=Finishing.of(options))
 
 
 def training_task() -> object:

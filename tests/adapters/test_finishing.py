@@ -30,6 +30,18 @@ def finished(joints: np.ndarray, **named) -> np.ndarray:
     return finish(joints, np.full(len(joints), joints.shape[1]), FPS, **given)
 
 
+@pytest.mark.parametrize("frames", [4, 30])
+def test_a_motion_begins_in_the_given_pose_and_ends_where_it_did(frames):
+    batch = conditions(Condition.GOAL_LOCATION, 1, frames=(frames,))
+    assert batch.initial_joints is not None
+    beside = batch.initial_joints + 0.2 * np.float32([1, 0, 1])
+    motions = Motions(np.repeat(beside[:, None], frames, axis=1), batch.n_frames)
+    found = Finishing(feet=False)(motions, batch).joints
+    np.testing.assert_allclose(found[0, 0], batch.initial_joints[0], atol=1e-5)
+    np.testing.assert_allclose(found[0, -1], beside[0], atol=1e-5)
+    assert found.dtype == np.float32
+
+
 def test_bones_have_the_lengths_that_are_given_and_feet_do_not_glide():
     found = finished(gliding())
     np.testing.assert_allclose(bone_lengths(found[0]), np.tile(LENGTHS, (80, 1)), atol=1e-5)

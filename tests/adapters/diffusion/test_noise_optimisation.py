@@ -30,6 +30,7 @@ from prbench_adapters.diffusion.noise_optimisation import (
     padded_decorrelation,
     paper,
     prime_and_reach,
+    smoothed_over_time,
 )
 from prbench_adapters.diffusion.optimised_generation import optimise_noise
 from tests.adapters.diffusion import golden
@@ -192,6 +193,17 @@ def test_two_cases_worked_by_hand(frames, expected):
 
 def _streams(*seeds):
     return [named_generator("prbench-decorrelation", seed) for seed in seeds]
+
+
+def test_a_smoothed_gradient_spreads_over_neighbouring_frames_of_its_own_sequence():
+    spike = torch.zeros(2, 9, 1)
+    spike[:, 4] = 1.0
+    found = smoothed_over_time(spike, torch.tensor([9, 5]), 1.0)[..., 0]
+    assert torch.allclose(found[0], found[0].flip(0))
+    assert found[0, 4] == found[0].max() < 0.5
+    # The last frame of the shorter sequence has neighbours on one side alone.
+    assert found[1, 4] == pytest.approx(1 / (1 + np.exp(-(np.arange(1, 5) ** 2) / 2).sum()), rel=1e-5)
+    assert torch.allclose(smoothed_over_time(spike, torch.tensor([9, 9]), 1.0)[1, :, 0], found[0])
 
 
 def test_each_sequence_is_padded_from_its_own_stream_whatever_the_batch():

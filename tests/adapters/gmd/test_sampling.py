@@ -15,6 +15,7 @@ from prbench.contract import ConditionBatch
 from prbench.geometry.skeleton import Joint
 from prbench.harness.methods.loading import load_adapter
 from prbench_adapters.diffusion.generation import SequenceNoise
+from prbench_adapters.diffusion.model import SMOOTHINGS
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd import sampling
 from prbench_adapters.gmd.adapter import generate
@@ -84,6 +85,12 @@ def test_the_root_is_at_its_keyframes_whatever_the_networks_say(keyframes, seed)
     assert _errors(batch, motions.joints).max() < 1e-3
 
 
+def test_a_path_beside_its_keyframes_is_bent_to_them_and_does_not_jump():
+    goal = RootGoal(torch.tensor([[[0.0, 0], [9, 9], [9, 9], [3, 1]]]), torch.tensor([[True, False, False, True]]))
+    bent = goal.bent(torch.tensor([[[-0.3, 0], [0.7, 0], [1.7, 0], [2.4, 1]]]))
+    assert torch.allclose(bent[0], torch.tensor([[0.0, 0], [1.1, 0], [2.2, 0], [3, 1]]), atol=1e-6)
+
+
 def test_another_goal_moves_the_end_there(model):
     batch = tiny.batch()
     assert batch.goal_joints is not None
@@ -132,14 +139,15 @@ def test_smoothed_motions_average_neighbouring_frames_and_keep_their_keyframes()
     plain, smooth = (generate(tiny.model(smoothed=each), batch, GMDSettings(steps=2)).joints for each in (False, True))
     for row, n in enumerate(batch.n_frames):
         pelvis, expected = smooth[row, :n, 0], plain[row, :n, 0].copy()
-        expected[1:-1] = (plain[row, : n - 2, 0] + 2 * plain[row, 1 : n - 1, 0] + plain[row, 2:n, 0]) / 4
+        for _ in range(SMOOTHINGS):
+            expected[1:-1] = (expected[:-2] + 2 * expected[1:-1] + expected[2:]) / 4
         assert np.allclose(pelvis, expected, atol=1e-5)
 
 
 def test_options_reach_the_settings(tmp_path):
     weights = tiny.write(tmp_path / "tiny.safetensors")
-    given = {"keyframes": "pose", "guidance": "1", "goal-scale": "30", "steps": "7", "bones": "initial"}
-    assert load_adapter("gmd", weights, given, "cpu").settings == GMDSettings(1.0, 30.0, "pose", 7, "initial")
+    given = {"keyframes": "pose", "guidance": "1", "goal-scale": "30", "steps": "7"}
+    assert load_adapter("gmd", weights, given, "cpu").settings == GMDSettings(1.0, 30.0, "pose", 7)
 
 
 def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch):
@@ -172,7 +180,7 @@ def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch):
     sampling.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
 
     line = [(t, 5) for t in range(99, 9, -1)]
-    assert imputed[0] == line + [(t, 2) for t in range(9, -1, -1)]
+    assert imputed[0] == line + [(t, 2) for t in range(9, 0, -1)]
     assert imputed[1] == [(t, 5) for t in range(99, -1, -1)]
     assert guided == 2 * list(range(99, 1, -1))
 
