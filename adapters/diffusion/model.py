@@ -100,7 +100,7 @@ class MotionModel:
         self.device = denoiser.head.weight.device
         self.mean, self.std = mean.to(self.device), std.to(self.device)
         self.scaling, self.texts, self.digest = scaling, texts, digest
-        self.schedule = CosineSchedule(self.configuration.diffusion_steps)
+        self.schedule = CosineSchedule(self.configuration.diffusion_steps, self.configuration.noise_power)
 
     @property
     def configuration(self) -> DenoiserConfiguration:

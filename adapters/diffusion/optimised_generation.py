@@ -45,7 +45,8 @@ class UnrolledChain:
 
     def __post_init__(self) -> None:
         denoiser, guidance = self.model.denoiser, self.settings.guidance
-        self._schedule = CosineSchedule(denoiser.configuration.diffusion_steps)
+        shape = denoiser.configuration
+        self._schedule = CosineSchedule(shape.diffusion_steps, shape.noise_power)
         self._guided = generation.Guided(denoiser, self.condition, self.n_frames, guidance, reuse=True)
 
     @property

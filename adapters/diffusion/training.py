@@ -226,7 +226,8 @@ class DiffusionTraining(TrainingModule):
         super().__init__()
         self.denoiser, self.scaling, self.texts = denoiser, scaling, texts
         self.objective, self.origin = objective, origin
-        alphas_cumprod = torch.as_tensor(CosineSchedule(denoiser.configuration.diffusion_steps).alphas_cumprod)
+        shape = denoiser.configuration
+        alphas_cumprod = torch.as_tensor(CosineSchedule(shape.diffusion_steps, shape.noise_power).alphas_cumprod)
         self.mean: torch.Tensor
         self.std: torch.Tensor
         self.signal: torch.Tensor

@@ -259,7 +259,6 @@ def test_another_frame_rate_is_refused(key, other):
         ("pr", {"reach": "goal"}, "option 'reach'.* expected a model of goal-frame features"),
         ("pr", {"smooth": "predicted"}, "option 'smooth'.* expected a model of goal-frame features"),
         ("pr", {"feet": "glide"}, "option 'feet': expected steps or predicted, found 'glide'"),
-        ("pr", {"sampler": "one-pass"}, r"1 to 4 network passes, but weights .*tiny\.safetensors need 8\. "),
     ],
 )
 def test_options_that_make_no_sense_are_refused(key, options, message):

@@ -57,6 +57,12 @@ def test_one_pass_is_combined_with_nothing_that_adds_or_saves_passes(few_steps, 
         load(few_steps, options={"sampler": "one-pass", **more}, device="cpu")
 
 
+def test_one_pass_is_refused_for_weights_of_many_steps(tmp_path):
+    features = {"architecture": "frames", "features": "goal-frame", "goal": "location", "diffusion_steps": 9}
+    with pytest.raises(AdapterError, match=r"1 to 8 network passes, but weights .*many\.safetensors need 9\. "):
+        load(tiny.write(tmp_path / "many.safetensors", **features), options={"sampler": "one-pass"}, device="cpu")
+
+
 def test_leading_a_wrist_to_the_goal_changes_the_last_half_second_alone(few_steps):
     batch = conditions(Condition.GOAL_LOCATION)
     assert batch.goal_location is not None

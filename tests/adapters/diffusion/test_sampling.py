@@ -142,6 +142,7 @@ def test_one_step_of_a_schedule_by_hand():
         return math.cos((s + 0.008) / 1.008 * math.pi / 2) ** 2
 
     assert CosineSchedule(2).betas == pytest.approx([1 - level(0.5) / level(0.0), 0.999])
+    assert CosineSchedule(2, 2.0).betas == pytest.approx([1 - level(0.25) / level(0.0), 0.999])
 
 
 @pytest.mark.parametrize(
