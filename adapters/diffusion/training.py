@@ -49,7 +49,11 @@ _ENDING = 0.3
 
 
 def ray_loss(
-    predicted: Joints, recorded: Joints, goal: Float[Tensor, "batch 3"], valid: Kept, prime: Float[Tensor, " frames"]
+    predicted: Joints,
+    recorded: Joints,
+    goal: Float[Tensor, "batch 3"],
+    valid: Kept,
+    prime: Float[Tensor, "*batch frames"],
 ) -> Float[Tensor, ""]:
     """How far the head's axes miss the recorded ones at the distance of the goal.
 
@@ -64,7 +68,7 @@ def ray_loss(
     axes = zip(goals.head_axes(predicted), goals.head_axes(recorded), strict=True)
     missed = sum((ours - theirs).square().sum(dim=-1) for ours, theirs in axes) * distance.square()
     weight = (_OTHER_TIMES + torch.exp(-(prime / _PRIMING_WIDTH).square())) * valid
-    return (missed * weight).sum() / weight.sum()
+    return (missed * weight).sum() / weight.sum().clamp_min(_OTHER_TIMES)
 
 
 def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float) -> Float[Tensor, ""]:

@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Int
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.representation.encoding import MIRRORED_JOINTS
+from prbench.protocol.manifests import load_protocol
+from prbench_adapters.diffusion.training import foot_loss, ray_loss
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
@@ -38,12 +40,13 @@ class Recordings:
 
     Attributes:
         joints: World with Z up, metres.
-        has_goal: True where the last frame reaches a goal; otherwise goals are made up (:func:`goal_frames`).
+        goal: Place of the object that the last frame reaches; NaN where there is none and goals are made up
+            (:func:`goal_frames`).
     """
 
     joints: Float[torch.Tensor, "batch frames 22 3"]
     n_frames: Int[torch.Tensor, " batch"]
-    has_goal: Bool[torch.Tensor, " batch"]
+    goal: Float[torch.Tensor, "batch 3"]
 
     @classmethod
     def of(cls, batch: MotionBatch, fps: float) -> Recordings:
@@ -68,9 +71,10 @@ class Recordings:
         row = torch.arange(len(whole), device=whole.device)[:, None]
         joints = whole[row, left] * (1 - weight) + whole[row, right] * weight
         mirrored = joints[:, :, list(MIRRORED_JOINTS)] * joints.new_tensor((-1.0, 1.0, 1.0))
-        left = (distance[:, 0] < distance[:, 1])[:, None, None, None]
-        has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
-        return cls(WORLD.from_y_up(torch.where(left, mirrored, joints)), n_frames, has_goal)
+        left = (distance[:, 0] < distance[:, 1])[:, None]
+        goal = torch.where(left, batch.goal_location * joints.new_tensor((-1.0, 1.0, 1.0)), batch.goal_location)
+        joints = torch.where(left[..., None, None], mirrored, joints)
+        return cls(WORLD.from_y_up(joints), n_frames, WORLD.from_y_up(goal))
 
     def states(self, places: Places) -> wandr.BodyState:
         """Return the bodies at some places; fitted when asked for, because a step needs few of the frames."""
@@ -142,7 +146,7 @@ def goal_frames(
         pseudo_share: Share of the places in motions with a goal that get a pseudo goal all the same.
     """
     last = recordings.n_frames[places.row] - 1
-    has_goal = recordings.has_goal[places.row]
+    has_goal = torch.isfinite(recordings.goal).all(dim=-1)[places.row]
     pretended = ~has_goal
     if pseudo_share:
         pretended = pretended | (torch.rand(len(last), generator=generator).to(last.device) < pseudo_share)
@@ -180,6 +184,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             change is the recorded one with so small a part of the way back.
         pseudo_goals: Share of the frames of motions with a goal that are shown a pseudo goal instead, as the original's
             AMASS has beside the goals of CIRCLE.
+        ray_loss_weight: Weight of the miss of the head's axes in chunks
+            (:func:`prbench_adapters.diffusion.training.ray_loss`), m²; not in the original.
+        foot_loss_weight: Weight of the squared steps of planted toes in chunks, m²; not in the original.
     """
 
     kl_weight: float = 1e-2
@@ -191,9 +198,12 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     frames_per_step: int = 0
     frames_back: int = 1
     pseudo_goals: float = 0.0
+    ray_loss_weight: float = 0.0
+    foot_loss_weight: float = 0.0
 
     def __post_init__(self) -> None:
         require_within(self, "at least 0", "kl_weight", "free_bits", "joint_loss_weight", "frames_per_step")
+        require_within(self, "at least 0", "ray_loss_weight", "foot_loss_weight")
         require_within(self, "at least 1", "longest_chunk", "steps_per_chunk_frame", "frames_back")
         require_within(self, "from 0 to 1", "pseudo_goals")
 
@@ -228,6 +238,8 @@ class WandrTraining(TrainingModule):
     def __init__(self, network: wandr.WandrNetwork, objective: Objective, origin: tuple[str, ...] = ()) -> None:
         super().__init__()
         self.network, self.objective, self.origin = network, objective, origin
+        scored = {"own_rays": objective.ray_loss_weight, "own_feet": objective.foot_loss_weight}
+        self.scored = {name: weight for name, weight in scored.items() if weight}
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
         """Return the loss of one batch, and its parts.
@@ -244,6 +256,7 @@ class WandrTraining(TrainingModule):
             objective = self.objective
             weights = {"divergence": objective.kl_weight}
             weights |= dict.fromkeys(("positions", "own_positions"), objective.joint_loss_weight)
+            weights |= self.scored
             total = torch.stack([weights.get(name, 1.0) * value for name, value in losses.items()]).sum()
             return {"loss": total, **{name: value.detach() for name, value in losses.items()}}
 
@@ -278,7 +291,7 @@ class WandrTraining(TrainingModule):
             -(-self.objective.frames_per_step // max(length, 2)), generator
         )
         if length < 2 or not len(places.row):  # none in this step, or all motions are shorter
-            return dict.fromkeys(("own_changes", "own_positions"), recordings.joints.new_zeros(()))
+            return dict.fromkeys(("own_changes", "own_positions", *self.scored), recordings.joints.new_zeros(()))
         goals = self._goal_frames(recordings, places, generator)
         state = recordings.states(places)
         delta = recordings.states(places.later(-1)).delta_to(state)
@@ -288,6 +301,7 @@ class WandrTraining(TrainingModule):
         before = recordings.states(places)
         changes = []
         positions = []
+        own = []
         for step in range(length):
             here = places.later(step)
             # From the network's own state, so that it learns to come back from where it strayed.
@@ -310,7 +324,27 @@ class WandrTraining(TrainingModule):
             joints = state.joints(offsets)
             changes.append(delta_loss(decoded, wanted))
             positions.append(joint_loss(joints, target))
-        return {"own_changes": torch.stack(changes).mean(), "own_positions": torch.stack(positions).mean()}
+            own.append(joints)
+        return {
+            "own_changes": torch.stack(changes).mean(),
+            "own_positions": torch.stack(positions).mean(),
+            **self._scored(recordings, places.following(length), torch.stack(own, dim=1)),
+        }
+
+    def _scored(
+        self, recordings: Recordings, places: Places, own: Float[torch.Tensor, "places frames 22 3"]
+    ) -> dict[str, torch.Tensor]:
+        """Return those losses of what the benchmark looks at that have a weight; chunks without a goal have no rays."""
+        fps = self.network.configuration.fps
+        goal = recordings.goal[places.row[:, 0]]
+        valid = torch.isfinite(goal).all(dim=-1, keepdim=True).expand_as(places.frame)
+        joints = WORLD.to_y_up(own), WORLD.to_y_up(recordings.joints[places.index])
+        parts = {"own_feet": foot_loss(*joints, torch.ones_like(valid), fps)}
+        if "own_rays" in self.scored:
+            # Frame 1 is the sequence's first, a fixed time before the prime time.
+            after_prime = (places.frame - 1) / fps - load_protocol().curation.lead
+            parts["own_rays"] = ray_loss(*joints, WORLD.to_y_up(goal).nan_to_num(), valid, after_prime)
+        return {name: parts[name] for name in self.scored}
 
     def _goal_frames(self, recordings: Recordings, places: Places, generator: torch.Generator) -> Rows:
         return goal_frames(recordings, places, generator, pseudo_share=self.objective.pseudo_goals)
