@@ -23,10 +23,11 @@ from functools import lru_cache
 import torch
 from jaxtyping import Float
 
-from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, TOES, Joint
 
 _SHORTEST = 1e-12  # of a vector that is made a unit vector; keeps zero vectors, and their gradients, finite
 _OPPOSITE = 1e-6  # length of the sum of two unit vectors below which they count as opposite
+_ABOVE_FLOOR = 0.02  # metres; the lower toe of people is never higher than 0.018
 _NO_HEADING = 1e-3  # sine between hips and spine below which the shoulders say where left is
 _X = (1.0, 0.0, 0.0)
 _Y = (0.0, 1.0, 0.0)
@@ -142,6 +143,21 @@ def rest_offsets(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tens
     """Return the skeleton at rest with the bone lengths of a pose: offset of each joint from its parent, metres."""
     lengths = (joints[..., 1:, :] - joints[..., PARENTS[1:], :]).norm(dim=-1, keepdim=True)
     return torch.nn.functional.pad(lengths, (0, 0, 1, 0)) * _Tree(joints.dtype, joints.device).rest
+
+
+def to_floor(
+    joints: Float[torch.Tensor, "*batch 22 3"], first: Float[torch.Tensor, "... 22 3"]
+) -> Float[torch.Tensor, "*batch 3"]:
+    """Return the move up or down that brings the lower toe back to the floor; zeros where it has not left it.
+
+    Args:
+        joints: World with Z up, metres, the floor at 0.
+        first: A pose that is on the floor whatever it looks like; broadcasts against ``batch``.
+    """
+    height = joints[..., TOES, 2].amin(dim=-1)
+    given = first[..., TOES, 2].amin(dim=-1)
+    height = height.clamp(given.clamp_max(0.0), given.clamp_min(_ABOVE_FLOOR)) - height
+    return torch.nn.functional.pad(height[..., None], (2, 0))
 
 
 def rows_of(matrices: Float[torch.Tensor, "*batch 3 3"]) -> Float[torch.Tensor, "*batch 6"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,15 +42,15 @@ class DartControl(SingleModelMethod):
             AdapterError: for a goal that no body can reach, or an initial state that has no heading.
         """
         require_goals_within_reach(batch, adapter=self.name)
-        return generate(self.model, batch, self.settings)
+        return self.settings.finishing(generate(self.model, batch, self.settings), batch)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DartControl:
     """Entry point ``dart``.
 
-    Options: ``optimise`` (on, or off for text alone), ``iterations`` (100), ``learning-rate`` (0.05), ``noise-scale``
-    (0.1), ``ddim-steps`` (all of the training's), ``guidance`` (5), ``hand`` (right, nearest or left), ``text-path``
-    (files of the text encoder, if the weights need one that has some).
+    Options: ``optimise`` (fast; paper; off for text alone), ``iterations``, ``learning-rate``, ``noise-scale``,
+    ``ddim-steps``, ``guidance``, ``hand`` (right, nearest or left), ``bones`` (initial, predicted), ``feet`` (steps,
+    predicted), ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``dart-small``.
@@ -161,7 +162,8 @@ def _sampled(
         """
         nonlocal decoded
         decoded += sum(going_on)
-        done = rollout.roll_out(model, history, placement, sample, len(going_on), going_on=going_on)
+        keep = partial(rollout.kept, first=initial, finishing=settings.finishing)
+        done = rollout.roll_out(model, history, placement, sample, len(going_on), going_on=going_on, keep=keep)
         # Primitives of sequences that have ended have fewer rows; zeros keep the batch rectangular.
         rows = [pad(each.joints, (0, 0) * 3 + (0, len(batch) - len(each.joints))) for each in done]
         return torch.cat((targets.initial_joints[:, None], DART.to_y_up(torch.cat(rows, dim=1))), dim=1)[:, :n_frames]

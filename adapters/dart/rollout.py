@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import torch
 from jaxtyping import Float
@@ -15,10 +14,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from prbench_adapters.dart import model as dart
-from prbench_adapters.diffusion.denoiser import Counts, TransformerLayer
+from prbench_adapters.diffusion.denoiser import Counts
 from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation import Targets, chosen_wrist, last_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
+from prbench_adapters.finishing import Finishing
+from prbench_adapters.kinematics import forward_kinematics, rest_offsets, to_floor
 
 Numbers = Float[Tensor, " batch"]
 History = Float[Tensor, "batch history 276"]
@@ -69,6 +70,7 @@ def roll_out(
     primitives: int,
     *,
     going_on: Sequence[int] | None = None,
+    keep: Callable[[dart.Frames, dart.Placement], dart.Frames] | None = None,
 ) -> list[Primitive]:
     """Generate primitives; differentiable from the latents' noise to the last joint.
 
@@ -80,6 +82,7 @@ def roll_out(
         primitives: How many.
         going_on: How many motions, the first ones, have each primitive; None if all have all. What motions are to be
             shorter come last, and cost nothing behind their end.
+        keep: Changes the future frames of a primitive before they lead on to the next (:func:`kept`).
     """
     done: list[Primitive] = []
     for number in range(primitives):
@@ -90,12 +93,36 @@ def roll_out(
         latent = sample(number, history)
         features = model.vae.decode(latent * model.latent_std, history)
         future = model.scaling.frames(features)
+        if keep is not None:
+            future = keep(future, placement)
         done.append(Primitive(history, latent, features, placement, placement.points(future.joints)))
         # Each primitive starts in a frame of reference of its own, as the networks have learnt it.
         frames, inner = next_history(future)
         history = model.scaling.standardised(frames)
         placement = placement.then(inner)
     return done
+
+
+def kept(future: dart.Frames, placement: dart.Placement, first: Poses, finishing: Finishing) -> dart.Frames:
+    """Return predicted frames with the bones of a pose, and with a foot on the floor.
+
+    Networks predict joints beside rotations, and the next primitive starts from them: without this, errors of bones and
+    height add up. The original shows the body of the rotations, whose bones are constant.
+
+    Args:
+        future: Frames of a primitive.
+        placement: Its frame of reference in the world, where the floor is at 0.
+        first: Poses that have the bones, those of motions that have ended behind the others; world.
+        finishing: Which of both is done.
+    """
+    first = first[: len(future.joints), None]
+    if finishing.bones:
+        bodies = forward_kinematics(future.rotations(), future.translation, rest_offsets(first))
+        future = replace(future, joints=bodies)
+    if finishing.feet:
+        move = to_floor(placement.points(future.joints), first)
+        future = replace(future, translation=future.translation + move, joints=future.joints + move[:, :, None])
+    return future
 
 
 def next_history(future: dart.Frames) -> tuple[dart.Frames, dart.Placement]:
@@ -105,61 +132,6 @@ def next_history(future: dart.Frames) -> tuple[dart.Frames, dart.Placement]:
     """
     n = future.joints.shape[1]
     return future.part(n - dart.HISTORY_FRAMES, n).canonical()
-
-
-_CONTEXT = slice(1, 2 + dart.HISTORY_FRAMES)  # places of text and history among the tokens
-_LATENT = 2 + dart.HISTORY_FRAMES
-
-
-class PreparedDenoiser:
-    """Computes :class:`LatentDenoiser` up to rounding, with gradients, in about three quarters of the time.
-
-    Only the last token changes within a primitive, besides the one for the step: the others are embedded, and projected
-    for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.
-
-    Args:
-        denoiser: The denoiser, in evaluation mode.
-        text: One vector each; zeros for no text.
-        history: Standardised features.
-    """
-
-    def __init__(self, denoiser: dart.LatentDenoiser, text: Float[Tensor, "batch dimension"], history: History) -> None:
-        self.denoiser, self.places = denoiser, denoiser.sinusoid
-        self.layers = cast(list[TransformerLayer], list(denoiser.layers))
-        self.project = self.layers[0].self_attention.query_key_value
-        context = (denoiser.text_embedding(text)[:, None], denoiser.history_embedding(history))
-        self.context = torch.cat(context, dim=1) + self.places[_CONTEXT]
-        self.times = denoiser.time_embedding(self.places[: denoiser.configuration.diffusion_steps]) + self.places[0]
-        self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
-
-    def __call__(self, noisy: Latents, step: int) -> Latents:
-        """Return the clean latent from a noisy one at a diffusion step."""
-        rows = len(noisy)
-        latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
-        stream = _tokens(self.times[step], self.context, latent)
-        projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
-        # TransformerLayer written out without dropout: the layers' own forward would compute all tokens anew.
-        for number, layer in enumerate(self.layers):
-            if number:
-                projected = layer.self_attention.query_key_value(stream)
-            of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
-            query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
-            # Nobody reads the other tokens behind the last layer.
-            if number == len(self.layers) - 1:
-                query = query[:, :, -1:]
-                stream = stream.view(rows, _LATENT + 1, -1)[:, -1]
-            looked = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).reshape(stream.shape)
-            stream = layer.self_attention_norm(stream + layer.self_attention.output(looked))
-            hidden = functional.gelu(layer.feed_forward.expand(stream))
-            stream = layer.feed_forward_norm(stream + layer.feed_forward.contract(hidden))
-        return self.denoiser.head(stream)[:, None]
-
-
-def _tokens(
-    time: Float[Tensor, " width"], context: Float[Tensor, "batch context width"], latent: Float[Tensor, "batch width"]
-) -> Float[Tensor, "rows width"]:
-    """All tokens of all rows below each other: linear layers take a matrix quicker than a stack of them."""
-    return torch.cat((time.expand(len(latent), 1, -1), context, latent[:, None]), dim=1).flatten(0, 1)
 
 
 class GuidedDenoiser(Guidance):
@@ -182,8 +154,12 @@ class GuidedDenoiser(Guidance):
         """
         # Rows stand longest first, so the sequences that go on are always the first rows.
         text = self.text[: len(history)]
-        prepared = PreparedDenoiser(self.denoiser, self.both(text, torch.zeros_like(text)), self.both(history, history))
-        return lambda noisy, step: self.estimate(lambda rows: prepared(rows, step), noisy)
+        given = (self.both(text, torch.zeros_like(text)), self.both(history, history))
+
+        def predict(noisy: Tensor, step: int) -> Tensor:
+            return self.denoiser(noisy, torch.full((len(noisy),), step, device=noisy.device), *given)
+
+        return lambda noisy, step: self.estimate(lambda rows: predict(rows, step), noisy)
 
 
 def by_ddim(

@@ -23,8 +23,9 @@ from prbench.representation import check_joints, mirror
 from prbench_adapters.diffusion.generation import choice, number, require_known
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.diffusion.model import torch_device
+from prbench_adapters.finishing import Finishing
 from prbench_adapters.kinematics import WANDR as WORLD
-from prbench_adapters.kinematics import rest_offsets
+from prbench_adapters.kinematics import rest_offsets, to_floor
 from prbench_adapters.training.weights import read_weights
 from prbench_adapters.wandr.network import KIND, BodyState, WandrNetwork, clean_delta, intentions, network_of
 
@@ -66,16 +67,23 @@ class WANDR(SingleModelMethod):
             motion back. ``nearest`` takes the one that is nearer to the goal in the first frame.
         most_speed: Longest intention of the wrist, metres a second, infinity for no limit; None for 1 m/s, or for no
             limit if the network was trained without one.
+        feet: True keeps a foot on the floor in each step, and lets feet stand or swing at the end.
     """
 
     name = "wandr"
     conditions = frozenset({Condition.GOAL_LOCATION})
 
     def __init__(
-        self, network: WandrNetwork, weights: Path, *, hand: Hand = "right", most_speed: float | None = None
+        self,
+        network: WandrNetwork,
+        weights: Path,
+        *,
+        hand: Hand = "right",
+        most_speed: float | None = None,
+        feet: bool = False,
     ) -> None:
         super().__init__(network, weights, None)
-        self.network, self.hand, self.most_speed = network, hand, most_speed
+        self.network, self.hand, self.most_speed, self.feet = network, hand, most_speed, feet
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
         """Generate one motion for each row.
@@ -101,11 +109,13 @@ class WANDR(SingleModelMethod):
             limit = self.network.configuration.speed_limit
             most_speed = limit if math.isinf(limit) else min(limit, _ASKED_SPEED)
         start, noise = self._start(_mirrored_where(left, batch))
-        joints = WORLD.to_y_up(roll_out(self.network, start, noise, most_speed)).float().cpu().numpy()
+        rolled = roll_out(self.network, start, noise, most_speed, on_floor=self.feet)
+        joints = WORLD.to_y_up(rolled).float().cpu().numpy()
         joints[left] = mirror(joints[left])
         # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
-        return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
+        motions = Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
+        return Finishing(bones=False, feet=self.feet)(motions, batch)
 
     def _start(self, batch: ConditionBatch) -> tuple[Start, Float[torch.Tensor, "batch steps latent"]]:
         """Return the start of each row, and the noise of all its steps.
@@ -148,7 +158,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``most-speed`` (1 for networks that were trained with a limit; 0 is none,
-    as in the original) of the wrist's intention, metres a second.
+    as in the original) of the wrist's intention, metres a second, ``feet`` (steps, or predicted as in the original).
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.
@@ -160,7 +170,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
         InputFileError: if the file is not one of WANDR.
         ValueError: for options that are unknown or have impossible values.
     """
-    require_known(options, ("hand", "most-speed"))
+    require_known(options, ("hand", "most-speed", "feet"))
     most_speed = number(options, "most-speed", 0.0) or math.inf if "most-speed" in options else None
     hand = cast(Hand, choice(options, "hand", get_args(Hand)))
     path = own_weights(WANDR.name, weights)
@@ -169,12 +179,17 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     # A motion is hundreds of steps, each on the last one's result; in double precision what rounding adds stays below
     # a micrometre, whatever the batch.
     network = network.to(where, torch.float32 if where.type == "mps" else torch.float64)
-    return WANDR(network, path, hand=hand, most_speed=most_speed)
+    return WANDR(network, path, hand=hand, most_speed=most_speed, feet=Finishing.of(options).feet)
 
 
 @torch.no_grad()
 def roll_out(
-    network: WandrNetwork, start: Start, noise: Float[torch.Tensor, "batch steps latent"], most_speed: float = math.inf
+    network: WandrNetwork,
+    start: Start,
+    noise: Float[torch.Tensor, "batch steps latent"],
+    most_speed: float = math.inf,
+    *,
+    on_floor: bool = False,
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
     """Joints of all frames; those behind a sequence's own number of frames are padding.
 
@@ -183,6 +198,8 @@ def roll_out(
         start: States that the sequences begin with, and their goals.
         noise: Standard normal: the latent of each step.
         most_speed: Longest intention of the wrist, metres a second.
+        on_floor: Bring the lower toe back to the floor in each step. Without it errors of the height add up, and bodies
+            go on in the air.
     """
     state = start.state
     delta = start.delta
@@ -201,5 +218,7 @@ def roll_out(
         decoded = network.decode(noise[:, step], network.condition(state.seen(), delta, intention))
         delta = clean_delta(network.delta.undone(decoded))
         state = state.changed(delta)
+        if on_floor:
+            state = replace(state, pelvis=state.pelvis + to_floor(state.joints(start.offsets), joints[0]))
         joints.append(state.joints(start.offsets))
     return torch.stack(joints, 1)

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import msgspec
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
-from prbench.representation.encoding import MIRRORED_JOINTS
 from prbench.protocol.manifests import load_protocol
+from prbench.representation.encoding import MIRRORED_JOINTS
 from prbench_adapters.diffusion.training import foot_loss, ray_loss
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation

@@ -14,7 +14,6 @@ from prbench_adapters.dart.adapter import generate
 from prbench_adapters.dart.model import DartModel, DartSettings, FeatureScaling, Frames, Placement
 from prbench_adapters.dart.rollout import (
     GuidedDenoiser,
-    PreparedDenoiser,
     Primitive,
     by_ddim,
     by_ddpm,
@@ -184,20 +183,6 @@ def test_a_long_roll_out_under_any_guidance(model, start, scale):
     state = [each.numpy() for each in (frames.pack(), placement.rotation, placement.origin, TEXT)]
     expected = page.Model(model).roll_out(noise.numpy(), *state, scale=scale)
     _close(torch.cat([each.joints for each in done], dim=1), expected)
-
-
-@pytest.mark.parametrize("layers", [1, 2])
-def test_the_prepared_denoiser_is_the_denoiser_with_its_gradients(layers):
-    network = tiny.networks(seed=2, layers=layers)[1].double().eval()
-    noisy, history = _normal(2, 1, 16).requires_grad_(), _normal(2, 2, 276).requires_grad_()
-    prepared = PreparedDenoiser(network, TEXT, history)
-    for step in (0, 3):
-        quick, plain = prepared(noisy, step), network(noisy, torch.tensor([step, step]), TEXT, history)
-        torch.testing.assert_close(quick, plain, rtol=0, atol=1e-12)
-        slopes = (
-            torch.autograd.grad(each.square().sum(), (noisy, history), retain_graph=True) for each in (quick, plain)
-        )
-        torch.testing.assert_close(*slopes, rtol=0, atol=1e-12)
 
 
 def test_a_motion_that_ends_leaves_the_others_as_they_are(model, start):
