@@ -245,7 +245,7 @@ class DartSettings:
     finishing: Finishing = _AS_PREDICTED
 
 
-# Ours, for a tenth of the time (docs/methods/dart.md#input-and-options).
+# Ours, for a sixth of the time (docs/methods/dart.md#input-and-options).
 _FAST = DartSettings(iterations=40, learning_rate=0.1, ddim_steps=4, guidance=2.5)
 
 

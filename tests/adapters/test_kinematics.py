@@ -17,6 +17,7 @@ from prbench_adapters.kinematics import (
     rest_offsets,
     root_orientation,
     rows_of,
+    to_floor,
 )
 from tests.fakes import STANDING, smooth_motion
 
@@ -62,6 +63,19 @@ def test_other_bones_keep_the_directions():
     pose = torch.tensor(smooth_motion("bones", 1)).double()
     tall = forward_kinematics(fitted_rotations(pose), pose[:, 0], 2 * rest_offsets(pose))
     assert torch.allclose(tall - tall[:, :1], 2 * (pose - pose[:, :1]))
+
+
+@pytest.mark.parametrize(
+    ("height", "given", "move"),
+    [(0.30, 0.01, -0.28), (0.015, 0.01, 0.0), (-0.05, 0.01, 0.05), (-0.03, -0.04, 0.0), (0.20, 0.10, -0.10)],
+    ids=["in the air", "on the floor", "below it", "as the given pose below it", "as the given pose above it"],
+)
+def test_a_body_comes_back_to_the_floor_or_to_where_the_given_pose_had_it(height, given, move):
+    pose = WANDR.from_y_up(STANDING_POSE).double()
+    lower_toe = pose[[Joint.LEFT_FOOT, Joint.RIGHT_FOOT], 2].min()
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    found = to_floor(pose + (height - lower_toe) * up, pose + (given - lower_toe) * up)
+    assert torch.allclose(found, move * up, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", [1e-9, 1e-4, -1e-4], ids=["exactly", "a little to the front", "a little back"])

@@ -11,11 +11,20 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench_adapters import dart
-from prbench_adapters.dart.adapter import parts_of_similar_cost
-from prbench_adapters.dart.model import N_FEATURES, DartConfiguration, Frames, Placement, canonical_placement
+from prbench_adapters.dart.adapter import generate, parts_of_similar_cost
+from prbench_adapters.dart.model import (
+    N_FEATURES,
+    DartConfiguration,
+    DartSettings,
+    Frames,
+    Placement,
+    canonical_placement,
+    dart_settings,
+)
 from prbench_adapters.dart.rollout import first_history, next_history
+from prbench_adapters.finishing import Finishing
 from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
@@ -119,6 +128,24 @@ def weights(tmp_path_factory):
 
 def _generated(weights, batch, **options):
     return dart.load(weights, options={**QUICK, **options}, device="cpu").generate(batch, seed=0)
+
+
+@pytest.mark.parametrize("bones", [True, False])
+@pytest.mark.parametrize("feet", [True, False])
+def test_each_primitive_keeps_bones_and_floor_where_it_is_asked_to(bones, feet):
+    settings = DartSettings(iterations=1, finishing=Finishing(bones=bones, feet=feet))
+    joints = generate(tiny.model(diffusion_steps=2), BATCH, settings).joints[:, :9]
+    toes = joints[:, :, [Joint.LEFT_FOOT, Joint.RIGHT_FOOT], 1].min(axis=-1)
+    assert (np.abs(bone_lengths(joints) - bone_lengths(BATCH.initial_joints)[:, None]).max() < 1e-4) == bones
+    assert (toes.min() > min(toes[:, 0].min(), 0.0) - 1e-5) == feet
+
+
+def test_the_fast_mode_takes_a_fifth_of_the_papers_passes():
+    fast, paper = (dart_settings({"optimise": mode}, diffusion_steps=10) for mode in ("fast", "paper"))
+    assert (paper.iterations, paper.ddim_steps, paper.guidance, paper.learning_rate) == (100, None, 5.0, 0.05)
+    assert 5 * (fast.iterations + 1) * (2 * fast.ddim_steps + 1) < 101 * 21
+    assert dart_settings({}, diffusion_steps=2).ddim_steps == 2
+    assert (fast.finishing, DartSettings().finishing) == (Finishing(), Finishing(bones=False, feet=False))
 
 
 @pytest.mark.parametrize(("n_frames", "primitives"), [(1, 1), (2, 1), (10, 1), (11, 2), (18, 2), (242, 30)])

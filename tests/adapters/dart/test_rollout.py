@@ -80,7 +80,7 @@ POSE = torch.zeros(1, 22, 3)
 
 def _targets(goal: torch.Tensor | None = None, location: torch.Tensor | None = None, n: int = 1) -> Targets:
     pose = POSE.expand(n, 22, 3)
-    return Targets(initial_joints=pose, previous_joints=pose, goal_joints=goal, goal_location=location)
+    return Targets(initial_joints=pose, goal_joints=goal, goal_location=location)
 
 
 def test_the_loss_of_a_goal_location_by_hand():
@@ -218,10 +218,10 @@ def test_optimisation_is_adam_along_the_gradient_through_all_primitives(model, s
     pose = torch.zeros(2, 22, 3, dtype=torch.float64)
     if asked == "pose":
         joint, target = slice(None), goal.numpy()
-        targets = Targets(initial_joints=pose, previous_joints=pose, goal_joints=goal)
+        targets = Targets(initial_joints=pose, goal_joints=goal)
     else:
         joint, target = slice(21, 22), goal[:, Joint.RIGHT_WRIST].numpy()
-        targets = Targets(initial_joints=pose, previous_joints=pose, goal_location=goal[:, Joint.RIGHT_WRIST])
+        targets = Targets(initial_joints=pose, goal_location=goal[:, Joint.RIGHT_WRIST])
     denoiser, history = GuidedDenoiser(model.denoiser, TEXT, 5.0), model.scaling.standardised(frames)
 
     def motion(noise: torch.Tensor) -> torch.Tensor:
@@ -312,7 +312,7 @@ def test_the_losses_of_training_by_hand(model, start):
 def test_a_clamped_gradient():
     first = torch.zeros(1, 2, 1, 1, dtype=torch.float64)
     pose = torch.zeros(2, 22, 3, dtype=torch.float64)
-    targets = Targets(initial_joints=pose, previous_joints=pose, goal_joints=pose + 0.5)
+    targets = Targets(initial_joints=pose, goal_joints=pose + 0.5)
 
     def motion(noise: torch.Tensor) -> torch.Tensor:
         slope = torch.tensor([1.0, 1e-9], dtype=torch.float64)[:, None, None, None]

@@ -83,6 +83,16 @@ def test_a_late_body_is_asked_for_no_more_than_the_most_speed_of_option_and_netw
     assert np.array_equal(steps(), free)
 
 
+def test_a_foot_stays_on_the_floor_unless_the_network_is_to_decide():
+    """The follower rises with its wrist to a goal above the head."""
+    batch = tiny.batch(1, frames=(24,))
+    batch = replace(batch, goal_location=batch.initial_joints[:, Joint.HEAD] + np.float32([0.0, 0.5, 0.3]))
+    lowest = {feet: _follower(feet=feet).generate(batch, seed=0).joints[0, :, :, 1].min(axis=-1) for feet in (False, True)}
+    assert lowest[0][-1] > 0.5
+    assert lowest[1].max() < 0.03
+    assert np.array_equal(_follower(feet=True).generate(batch, seed=0).joints[:, 0], batch.initial_joints)
+
+
 def test_the_nearest_hand_is_chosen_for_each_row():
     batch = tiny.batch(2, frames=(20,))
     wrists = batch.initial_joints[0, [LEFT, RIGHT]]
@@ -125,7 +135,8 @@ def test_weights_are_found_and_declared(tmp_path):
         method = load_adapter("wandr", given, {"hand": "nearest"}, "cpu")
         assert method.weights_for(Condition.GOAL_LOCATION) == path
         assert method.native_fps == 30
-        assert (method.hand, method.most_speed) == ("nearest", None)
+        assert (method.hand, method.most_speed, method.feet) == ("nearest", None, True)
+    assert not load_adapter("wandr", path, {"feet": "predicted"}, "cpu").feet
     assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").most_speed == math.inf
     assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").most_speed == 1.5
     assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)

@@ -98,13 +98,34 @@ def test_goals_are_in_the_last_frame_where_there_are_some_and_made_up_elsewhere_
     far = (60 - places.frame) * 0.1 * 20 / 30 >= 1.5
     assert float((shared[:, 0] == 60).float().mean()) == pytest.approx(0.5, abs=0.1)
     assert (shared[:, ~far] == 60).all(), "near the goal nothing is far enough away, and the goal stays"
-    clip = dataclasses.replace(sequence, has_goal=torch.tensor([False]))
+    clip = dataclasses.replace(sequence, goal=torch.full((1, 3), torch.nan))
     drawn = torch.stack([goal_frames(clip, places, generator) for _ in range(200)])
     walked = (drawn - places.frame) * 0.1 * 20 / 30
     nothing = drawn == places.frame
     assert (nothing == ~far).all()
     assert (walked[~nothing] >= 1.5 - 1e-4).all()
     assert set(drawn[:, 0].tolist()) == set(range(24, 61))  # from the first frame on: 23 frames are 1.53 m
+
+
+def test_the_head_and_planted_toes_of_chunks_count_where_they_have_a_weight(data, batch):
+    recordings = Recordings.of(batch, 30.0)
+    module = build("wandr", data, ray_loss_weight=2.0, foot_loss_weight=5.0)
+    places = starts(recordings, 6).following(6)
+    recorded = recordings.joints[places.index]
+    still = module._scored(recordings, places, recorded)
+    assert float(still["own_rays"]) == 0.0
+    nodding = recorded.clone()
+    nodding[:, :, Joint.HEAD, 0] += 0.1
+    sliding = recorded + 0.02 * torch.arange(6)[:, None, None]
+    assert float(module._scored(recordings, places, nodding)["own_rays"]) > 0
+    assert float(module._scored(recordings, places, sliding)["own_feet"]) > float(still["own_feet"]) + 1e-5
+    without_goals = dataclasses.replace(recordings, goal=torch.full_like(recordings.goal, torch.nan))
+    assert float(module._scored(without_goals, places, nodding)["own_rays"]) == 0.0
+    plain = build("wandr", data)(batch, 5)
+    losses = module(batch, 5)
+    extra = 2.0 * losses["own_rays"] + 5.0 * losses["own_feet"]
+    assert set(losses) - set(plain) == {"own_rays", "own_feet"}
+    assert float(losses["loss"].detach() - plain["loss"].detach()) == pytest.approx(float(extra), rel=1e-2)
 
 
 def test_intentions_are_as_limited_in_training_as_in_generation(data, batch):
