@@ -87,9 +87,11 @@ def test_a_foot_stays_on_the_floor_unless_the_network_is_to_decide():
     """The follower rises with its wrist to a goal above the head."""
     batch = tiny.batch(1, frames=(24,))
     batch = replace(batch, goal_location=batch.initial_joints[:, Joint.HEAD] + np.float32([0.0, 0.5, 0.3]))
-    lowest = {feet: _follower(feet=feet).generate(batch, seed=0).joints[0, :, :, 1].min(axis=-1) for feet in (False, True)}
+    lowest = {
+        feet: _follower(feet=feet).generate(batch, seed=0).joints[0, :, :, 1].min(axis=-1) for feet in (False, True)
+    }
     assert lowest[0][-1] > 0.5
-    assert lowest[1].max() < 0.03
+    assert lowest[1].max() < 0.06
     assert np.array_equal(_follower(feet=True).generate(batch, seed=0).joints[:, 0], batch.initial_joints)
 
 
