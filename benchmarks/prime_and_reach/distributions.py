@@ -44,7 +44,8 @@ FEATURES = {
 MOST = 0.15  # KS distance up to which a feature passes
 _LEVEL = 0.5  # horizontal part of the head's direction, a unit vector, below which its yaw is not looked at
 _DECIMALS = 9  # to which values are rounded, so that equal numbers of frames are equal times
-_COLUMNS = ["goal_location", "head_tilt_deg", "fps", "recording_id", "prime_time", "start_time"]
+_NUMBERS = ("start_time", "prime_time", "head_tilt_deg", "fps")
+_COLUMNS = [*_NUMBERS, "goal_location", "recording_id", "joints"]
 # The recording of each sequence, and its features: recorded people first, then each sample of the method.
 _Measured = tuple[list[str], dict[str, Float[np.ndarray, "n samples_and_1"]]]
 
@@ -74,10 +75,9 @@ def distribution_tables(
         parts = [_measured(run, table, progress) for table in opened]
         recordings = [name for part, _ in parts for name in part]
         together = {name: np.concatenate([values[name] for _, values in parts]) for name in FEATURES}
-        synthetic = any(table.info.synthetic for table in opened)
         shown = [("all datasets", (recordings, together))] if len(parts) > 1 else []
         shown += [(table.info.dataset, part) for table, part in zip(opened, parts, strict=True)]
-        tables += [_table(run, dataset, part, synthetic=synthetic) for dataset, part in shown]
+        tables += [_table(run, dataset, part) for dataset, part in shown]
     return tables
 
 
@@ -162,27 +162,21 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> _Meas
     constants = rules_of(run).metrics
     recordings: list[str] = []
     rows = []
-    for chunk in table.chunks(columns=[*_COLUMNS, "joints"], ids=names, rows=64):
-        recorded = np.split(chunk.joints, chunk.offsets[1:-1])
-        prime_time = chunk.numbers("prime_time") - chunk.numbers("start_time")
-        recordings += [f"{dataset}/{name}" for name in chunk.strings("recording_id")]
-        for row, name in enumerate(chunk.sequence_ids):
-            motions = MotionsToGoal(
-                joints=np.stack([recorded[row], *(motion.joints(name, len(recorded[row])) for motion in samples)]),
-                goal=chunk.vectors("goal_location")[row],
-                head_tilt_deg=float(chunk.numbers("head_tilt_deg")[row]),
-                fps=float(chunk.numbers("fps")[row]),
-            )
-            rows.append(features(motions, float(prime_time[row]), constants))
-            progress(len(rows), len(names), dataset)
+    for chunk in table.chunks(columns=_COLUMNS, ids=names, rows=1):
+        (name,) = chunk.sequence_ids
+        begin, prime_time, tilt, fps = (float(chunk.numbers(column)[0]) for column in _NUMBERS)
+        recordings += [f"{dataset}/{recording}" for recording in chunk.strings("recording_id")]
+        joints = np.stack([chunk.joints, *(motion.joints(name, len(chunk.joints)) for motion in samples)])
+        motions = MotionsToGoal(joints, chunk.vectors("goal_location")[0], tilt, fps)
+        rows.append(features(motions, prime_time - begin, constants))
+        progress(len(rows), len(names), dataset)
     return recordings, {name: np.stack([row[name] for row in rows]) for name in FEATURES}
 
 
-def _table(run: RunFolder, dataset: str, measured: _Measured, *, synthetic: bool) -> Table:
+def _table(run: RunFolder, dataset: str, measured: _Measured) -> Table:
     recordings = np.array(measured[0], dtype=object)
     about: dict[str, Any] = {"dataset": dataset, "condition": run.record.condition, "method": run.record.method.name}
     rows = []
-    passed = 0
     for name, (title, unit) in FEATURES.items():
         values = measured[1][name]
         both = np.isfinite(values).all(axis=1)  # without a swing, or a way, a motion has no value
@@ -200,22 +194,21 @@ def _table(run: RunFolder, dataset: str, measured: _Measured, *, synthetic: bool
             for side, each in sides.items()
         ]
         cells.append(Cell(metric="ks", value=distance.mean, low=low, high=distance.high, **about))
-        if cells[0].sd:
-            cells.append(Cell(metric="spread_ratio", value=cells[1].sd / cells[0].sd, unit="ratio", **about))
-        passed += distance.mean <= MOST
+        of_people, spread = (float(each.std()) for each in sides.values())
+        if of_people:
+            cells.append(Cell(metric="spread_ratio", value=spread / of_people, unit="ratio", **about))
         words["passes"] = "yes" if distance.mean <= MOST else "no"
         rows.append(Row(text=words, cells=tuple(cells)))
     columns = [Column(key=name, title=name, text=True) for name in ("feature", "unit", "sequences")]
     columns += [Column(key="people", title="people", digits=3), Column(key="predicted", title="method", digits=3)]
     columns += [Column(key="ks", title="KS", better="lower"), Column(key="spread_ratio", title="spread ratio")]
     said = "A feature passes whose KS distance is at most 0.15; the interval is by recording. ± one standard deviation."
+    passed = sum(row.text.get("passes") == "yes" for row in rows)
+    name = f"{run.path.name}: {run.record.method.name}, condition {run.record.condition}, on {dataset}"
     return Table(
-        title=(
-            f"{run.path.name}: {run.record.method.name}, condition {run.record.condition}, on {dataset}: {passed} of"
-            f" {len(FEATURES)} features are distributed as recorded people's"
-        ),
+        title=f"{name}: {passed} of {len(FEATURES)} features as recorded people's",
         dataset=dataset,
         columns=(*columns, Column(key="passes", title="passes", text=True)),
         blocks=(Block(rows=tuple(rows)),),
-        notes=(said, *((ON_SYNTHETIC_DATA,) if synthetic else ())),
+        notes=(said, ON_SYNTHETIC_DATA) if any(table.synthetic for table in run.record.tables) else (said,),
     )

@@ -14,12 +14,14 @@ import numpy as np
 
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import RunError, UsageError
+from prbench.harness.agreement import Sides, agreement_with_people, pooled_agreement
 from prbench.harness.controls import Tasks, at_length, laid_on_goal, read_motions
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import clustered, difference_interval, mean_interval
 from prbench.harness.results import RunChecker, cases_of_run
-from prbench.harness.run_folder import DatasetAgreement, RunFolder
+from prbench.harness.run_folder import CodedScores, DatasetAgreement, RunFolder
+from prbench.harness.run_folder.summary import RateAgreement
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable, find_sequence_id
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
@@ -73,9 +75,7 @@ def read_fan(
     """
     opened = _require_several(RunFolder.open(run))
     tables = tables_of_runs([opened], data)
-    held = {name: table for table in tables for name in predicted_sequences(opened, table)}
-    if not held:
-        raise RunError(f"{run}: expected motions of one sequence or more, found none. Run the same command again.")
+    held = {name: table for table in tables for name in require_motions(opened, table)}
     among = ", ".join(table.info.dataset for table in tables)
     name = min(held)
     if sequence is not None:
@@ -121,19 +121,14 @@ def rules_of(run: RunFolder) -> BenchmarkProtocol:
     return run.protocol or load_protocol()
 
 
-def predicted_sequences(run: RunFolder, table: SequenceTable) -> list[str]:
-    """Return the sequences of which the run holds motions."""
-    motions = RunMotions.open(run, table.info.dataset, label="")
-    return [name for name in cases_of_run(run, table)[2].sequence_ids if name in motions]
-
-
 def require_motions(run: RunFolder, table: SequenceTable) -> list[str]:
     """Return the sequences of which the run holds motions.
 
     Raises:
         RunError: if there are none.
     """
-    names = predicted_sequences(run, table)
+    motions = RunMotions.open(run, table.info.dataset, label="")
+    names = [name for name in cases_of_run(run, table)[2].sequence_ids if name in motions]
     if not names:
         raise RunError(f"{run.path}: expected motions on {table.info.dataset}, found none. Run it again: it resumes.")
     return names
@@ -258,6 +253,9 @@ _BY_PLACE = (
 def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
     """Lay out for each run and dataset the agreement with recorded people, and the rates by the goal's place.
 
+    Behind them stands the agreement over the sequences of each dataset that several runs have, such as tables of
+    several seeds, and over all sequences; of the tables at hand.
+
     Args:
         runs: Finished run folders.
         checker: Holds the tables at hand, on which the scores are checked.
@@ -266,6 +264,7 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
         RunError: if a run is damaged, or its files do not follow from one another.
     """
     tables = []
+    together: dict[str, Sides] = {}
     for path in runs:
         run = RunFolder.open(path)
         for record in run.record.tables:
@@ -277,12 +276,13 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
                 notes.append(f"unverified: {unverified}")
             if record.synthetic:
                 notes.append(ON_SYNTHETIC_DATA)
-            rates = []
-            for rate in found.rates:
-                about = {name: getattr(rate, name) for name in ("low", "high", "sequences", "recordings")}
-                phi = Cell(metric="phi", value=rate.phi, **about)
-                words = {"metric": rate.title, "remark": rate.remark}
-                rates.append(Row(text=words, cells=(phi, metric_cell("people", "rate", rate.people))))
+            table = checker.find_table(record)
+            if table is not None:
+                cases = cases_of_run(run, table)[2]
+                scores = CodedScores.read(run.dataset(record.dataset).scores)
+                cases = cases.chosen(np.isin(cases.sequence_ids, scores.sequence_ids))
+                for part in (record.dataset, "all datasets"):
+                    agreement_with_people(cases, scores, protocol=rules_of(run), sides=together.setdefault(part, {}))
             bins = []
             for each in found.breakdown:
                 unit = _UNITS[each.by]
@@ -293,9 +293,24 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
                 bins.append(Row(text=words, cells=(mean, metric_cell("people", "rate", each.people))))
             by_sequence = f"{title}: agreement with recorded people, sequence by sequence"
             by_place = f"{title}: by where the goal is, seen from the first pose"
-            said = "phi from -1 to 1, 0 is unrelated; 95 % intervals in brackets."
             tables += [
-                Table(title=by_sequence, columns=_AGREEMENT, blocks=(Block(rows=tuple(rates)),), notes=(said,)),
+                _rates_table(by_sequence, found.rates),
                 Table(title=by_place, columns=_BY_PLACE, blocks=(Block(rows=tuple(bins)),), notes=tuple(notes)),
             ]
+    for dataset, sides in together.items():
+        count = max(map(len, sides.values()))
+        if count > 1:
+            title = f"{dataset}, {count} together: agreement with recorded people, sequence by sequence"
+            tables.append(_rates_table(title, pooled_agreement(sides, load_protocol())))
     return tables
+
+
+def _rates_table(title: str, rates: Sequence[RateAgreement]) -> Table:
+    rows = []
+    for rate in rates:
+        about = {name: getattr(rate, name) for name in ("low", "high", "sequences", "recordings")}
+        phi = Cell(metric="phi", value=rate.phi, **about)
+        words = {"metric": rate.title, "remark": rate.remark}
+        rows.append(Row(text=words, cells=(phi, metric_cell("people", "rate", rate.people))))
+    said = "phi from -1 to 1, 0 is unrelated; 95 % intervals in brackets."
+    return Table(title=title, columns=_AGREEMENT, blocks=(Block(rows=tuple(rows)),), notes=(said,))

@@ -15,8 +15,9 @@ from jaxtyping import Float
 from scipy import special
 
 from prbench.errors import RunError
-from prbench.harness import conditions, planning, results, run_folder, scoring
+from prbench.harness import conditions, results, run_folder, scoring
 from prbench.harness.intervals import CONFIDENCE, metric_interval
+from prbench.harness.planning import Selection
 from prbench.harness.run_folder.summary import AGREEMENT_FILE, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol
@@ -26,13 +27,15 @@ Numbers = Float[np.ndarray, " n"]
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")
 # One outcome a sequence: 0 or 1, or the share of its samples that succeed.
 Outcomes = Numbers
+# By the id of a rate, for each table: outcomes of the method, those of people, and the recordings.
+Sides = dict[str, list[tuple[Outcomes, Outcomes, np.ndarray]]]
 _SCENE_METRICS = ("scene_penetration", "scene_depth")
 _PERFECT = 1 - 1e-12  # beyond which Fisher's scale has no finite value
 _ONE_OUTCOME = "{} the same outcome in every sequence"
 
 
 def agreement_with_people(
-    selection: planning.Selection, scores: run_folder.CodedScores, *, protocol: BenchmarkProtocol
+    selection: Selection, scores: run_folder.CodedScores, *, protocol: BenchmarkProtocol, sides: Sides | None = None
 ) -> DatasetAgreement:
     """Make ``agreement.json`` of one dataset.
 
@@ -40,6 +43,7 @@ def agreement_with_people(
         selection: The scored sequences.
         scores: Rows of ``scores.parquet``, of exactly these sequences.
         protocol: Rules by which the scores were made.
+        sides: The outcomes behind each rate are added here, to be put together with those of other tables.
     """
     wanted = [*(info.id for info in RATES if info.id in scores.metrics), *_SCENE_METRICS]
     people, goals = scoring.score_recorded(selection, protocol.metrics, wanted)
@@ -68,6 +72,9 @@ def agreement_with_people(
             sums = np.bincount(sequence, weights=value, minlength=count)
             mean = sums[known] / np.bincount(sequence, minlength=count)[known]
             rates.append(_agreement(info, mean, people[info.id][known], recordings[known], protocol))
+            if sides is not None:
+                part = mean, people[info.id][known], np.array(selection.recording_ids, dtype=object)[known]
+                sides.setdefault(info.id, []).append(part)
         for by, place in goal_places(goals).items():
             ends = getattr(protocol.breakdown, by)
             number = np.searchsorted(ends, place, side="right")
@@ -92,6 +99,12 @@ def agreement_with_people(
     return DatasetAgreement(
         dataset=selection.table.info.dataset, rates=tuple(rates), breakdown=tuple(breakdown), scene=scene
     )
+
+
+def pooled_agreement(sides: Sides, protocol: BenchmarkProtocol) -> list[RateAgreement]:
+    """Return the agreement of each rate over the sequences of all tables together."""
+    whole = {name: [np.concatenate(part) for part in zip(*parts, strict=True)] for name, parts in sides.items()}
+    return [_agreement(info, *whole[info.id], protocol=protocol) for info in RATES if info.id in whole]
 
 
 def require_agreement(files: run_folder.DatasetFolder, made: DatasetAgreement) -> None:

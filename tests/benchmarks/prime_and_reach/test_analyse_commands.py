@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
 from prbench.protocol.manifests import load_protocol
-from prbench.sequences import SequenceTable
+from prbench.sequences import Sequence, SequenceTable
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 from tests.method_fixtures import adapter_source, install, own_cache
@@ -42,6 +43,32 @@ def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
     assert "bearing 30 to 90°" in shown
     assert "height from 1.4 m" in shown
     assert "unverified: its table of synthetic-adt is not at hand" in shown
+
+
+def test_sequences_of_several_runs_agree_with_people_together(tmp_path, capsys):
+    runs = []
+    tables = []
+    for seed, change in enumerate((lambda row: row, other_goal), start=1):
+        tables.append(str(fake_dataset(tmp_path / f"table-{seed}", 48, change=change).folder))
+        runs.append(str(tmp_path / f"run-{seed}"))
+        reported(["run", "--method", "nearest-neighbour", "--data", tables[-1], "--out", runs[-1]], capsys)
+    found = reported(["analyse", "agreement", *runs, "--data", *tables], capsys).tables
+    of_dataset, of_all = found[-2:]
+    assert of_dataset.title.startswith("synthetic-adt, 2 together")
+    assert of_all.title.startswith("all datasets, 2 together")
+    for first, second, both in zip(*(table.blocks[0].rows for table in (found[0], found[2], of_all)), strict=True):
+        counts = [row.cells[0].sequences for row in (first, second)]
+        assert both.cells[0].sequences == sum(counts)
+        people = [row.cells[1].value * count for row, count in zip((first, second), counts, strict=True)]
+        assert both.cells[1].value == pytest.approx(sum(people) / sum(counts))
+    twice = reported(["analyse", "agreement", runs[0], runs[0], "--data", tables[0]], capsys).tables
+    assert [row.cells[0].value for row in twice[-1].blocks[0].rows] == pytest.approx(
+        [row.cells[0].value for row in twice[0].blocks[0].rows], nan_ok=True
+    )
+
+
+def other_goal(row: Sequence) -> Sequence:
+    return replace(row, goal_location=row.goal_location + np.array([0.0, 0.1, 0.0]))
 
 
 GENTLE = "joints = batch.initial_joints[:, None] + 0.05 * joints if batch.initial_joints is not None else joints"

@@ -110,7 +110,7 @@ def test_recorded_motion_passes_and_noise_does_not(tmp_path, install, capsys):
             assert cells["ks"].value == 0
             assert cells["ks"].low == 0
             assert "spread_ratio" not in cells or cells["spread_ratio"].value == pytest.approx(1.0)
-    assert "of 12 features are distributed as recorded people's" in people.title
+    assert "of 12 features as recorded people's" in people.title
     jitter = noise.blocks[0].rows[list(FEATURES).index("jitter")]
     assert jitter.text["passes"] == "no"
     assert next(cell.value for cell in jitter.cells if cell.metric == "ks") == 1
