@@ -30,8 +30,8 @@ from prbench.randomness import sequence_generator
 from prbench.representation import N_FEATURES, UniformSkeleton
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Network, frame_mask
-from prbench_adapters.diffusion.goal_frame import Joints, bones, unit
-from prbench_adapters.diffusion.model import USUAL_PARTS, MotionModel
+from prbench_adapters.diffusion.goal_frame import TRAINED_WITH, Joints, bones, unit
+from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
 Lengths = Int[np.ndarray, " batch"]  # frames
@@ -243,7 +243,7 @@ class SamplingSettings:
     guidance: float
     sampler: Literal["ddpm", "ddim"] = "ddpm"
     steps: int | None = None
-    parts: frozenset[str] = USUAL_PARTS
+    parts: frozenset[str] = TRAINED_WITH
     noise_scale: float = 1.0
 
 

@@ -18,7 +18,6 @@ Decoding constructs what the network need not learn (:data:`PARTS`), each of whi
   :data:`FADE` seconds;
 * ``smooth``: neighbouring frames are averaged with weights -1, 4, 10, 4, -1, which leave movement up to 3 Hz as it is,
   and a third of the jerk of independent errors;
-* ``feet``: each foot stands or swings (:mod:`prbench_adapters.diffusion.footsteps`) instead of gliding;
 * ``reach``: the wrist that ends nearer to the goal is led up to it.
 """
 
@@ -26,14 +25,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
-from prbench_adapters.diffusion.footsteps import stepped
 
 Joints = Float[Tensor, "batch frames 22 3"]  # metres
 Flat = Float[Tensor, "batch frames 66"]  # joints in one row
@@ -58,16 +55,17 @@ _ENDS = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *WRISTS)
 # Joints whose bones have directions among the features.
 _DIRECTED = (*_TRUNK, *_MIDDLES, *TOES)
 _DIRECTIONS = slice(3, 3 + 3 * len(_DIRECTED))
+# Directions of the upper arms, which bend that way.
+_ELBOWS = slice(3 + 3 * _DIRECTED.index(Joint.LEFT_ELBOW), 6 + 3 * _DIRECTED.index(Joint.RIGHT_ELBOW))
 _PLACES = slice(_DIRECTIONS.stop, _DIRECTIONS.stop + 3 * len(_ENDS))
 N_POSE_FEATURES = _PLACES.stop
 N_GOAL_FRAME_FEATURES = N_POSE_FEATURES + len(TOES)
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 # What decoding constructs, and what of it a network is trained with.
-PARTS = frozenset({"bones", "first", "smooth", "feet", "reach"})
-TRAINED_WITH = PARTS - {"feet", "reach"}
+PARTS = frozenset({"bones", "first", "smooth", "reach"})
+TRAINED_WITH = PARTS - {"reach"}
 _SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its gradient, finite
-_CERTAIN = 0.5  # of a foot's contact, which is 1 where it is planted, else 0
 _TOUCH = 0.05  # metres between wrist and goal: a hand holds an object, the wrist is not inside it
 _BEND = 5e-3  # metres that a knee or elbow stands out at least; a straight limb has no gradient
 _SOON = 0.05  # seconds over which the initial velocity is taken to hold: one frame of the protocol
@@ -155,15 +153,6 @@ class GoalFrame:
         pose = torch.cat((before, unit(directions.unflatten(-1, (-1, 3))).flatten(-2), after), dim=-1)
         if "first" in parts:
             pose = self._kept(pose, n_frames, fps)
-        if "feet" in parts:
-            # Ankles move so that toes stand or swing instead of gliding.
-            stands = (features[..., N_POSE_FEATURES:] > _CERTAIN).cpu().numpy()
-            with torch.no_grad():
-                toes = self._joints(pose)[:, :, TOES].cpu().double().numpy()
-            moves = np.zeros_like(toes)
-            for move, wanted, on_floor, n in zip(moves, toes, stands, n_frames.tolist(), strict=True):
-                move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
-            pose = self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
         if "reach" in parts:
             pose = self._reaching(pose, n_frames, fps)
         return self._canonical(pose, parts)
@@ -202,17 +191,8 @@ class GoalFrame:
         trunk = pelvis + leads.to(features) @ (trunk * self._lengths_to(_TRUNK))
         roots = trunk[:, :, [_TRUNK.index(joint) for joint in _ROOTS]]
         upper = self._lengths_to(_MIDDLES)
-        # Middle and end of limbs of two bones whose ends are at their targets, or as near as their bones reach.
         lower = self._lengths_to(_ENDS)
-        way = targets - roots
-        distance = _length(way)[..., None]
-        along = way / distance
-        distance = distance.clamp_max(upper + lower).clamp_min((upper - lower).abs())
-        # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
-        foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
-        height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
-        aside = unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
-        middles, ends = roots + along * foot + aside * height, roots + along * distance
+        middles, ends = bent(roots, targets, upper, lower, poles)
         ends = targets if stretched else ends
         toes = ends[:, :, : len(TOES)] + feet * self._lengths_to(TOES)
         order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
@@ -226,27 +206,15 @@ class GoalFrame:
         """
         last = n_frames.to(pose.device) - 1
         fade = _fade((last[:, None] - torch.arange(pose.shape[1], device=pose.device)).clamp_min(0) / fps)[..., None]
-        pose = self._moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
+        moves = fade[..., None] * self._missing(pose, last)[:, None]
+        # Elbows turn along: an arm that swings past the direction in which it is said to bend would bend the other way.
+        shoulders = self._joints(pose)[:, :, _ROOTS[-2:]]
+        before, elbows, between, wrists = pose.tensor_split((_ELBOWS.start, _ELBOWS.stop, N_POSE_FEATURES - 6), dim=-1)
+        places = wrists.unflatten(2, (-1, 3))
+        bends = elbows.unflatten(2, (-1, 3))
+        turned = turned_along(bends, unit(places - shoulders), unit(places + moves - shoulders))
+        pose = torch.cat((before, turned.flatten(2), between, (places + moves).flatten(2)), dim=2)
         return pose + functional.pad(fade * self._missing(pose, last).sum(dim=1)[:, None], (0, N_POSE_FEATURES - 3))
-
-    def _moved(self, pose: Flat, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Flat:
-        """Move two neighbouring ankles or wrists, and turn the way in which their limbs bend with them.
-
-        Args:
-            pose: Features.
-            moves: Displacements in the frame of the goal, metres.
-            first: Place of the first of the two among ankles and wrists.
-        """
-        limbs = slice(first, first + 2)
-        roots = self._joints(pose)[:, :, _ROOTS[limbs]]
-        places = pose[..., _PLACES].unflatten(2, (-1, 3))[:, :, limbs]
-        # Without the turn, a limb that swings past the direction in which it is said to bend would bend the other way.
-        pole = slice(_DIRECTIONS.start + 3 * (len(_TRUNK) + first), _DIRECTIONS.start + 3 * (len(_TRUNK) + first + 2))
-        bends = pose[..., pole].unflatten(2, (-1, 3))
-        turned = _turned_along(bends, unit(places - roots), unit(places + moves - roots)).flatten(2)
-        end = slice(_PLACES.start + 3 * first, _PLACES.start + 3 * first + 6)
-        parts = (pose[..., : pole.start], turned, pose[..., pole.stop : end.start])
-        return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
 
     def _missing(self, pose: Tensor, last: Counts) -> Float[Tensor, "batch 2 3"]:
         """Return what each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
@@ -371,7 +339,30 @@ def smoothed(features: Tensor, n_frames: Counts) -> Tensor:
     return features + torch.where(between, bend, 0.0) / 4
 
 
-def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tensor, "*batch 3"]:
+def bent(
+    roots: Tensor, targets: Tensor, upper: Tensor, lower: Tensor, poles: Tensor
+) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+    """Return middles and ends of limbs of two bones whose ends are at their targets, or as near as their bones reach.
+
+    Args:
+        roots: Hips or shoulders, metres.
+        targets: Places for ankles or wrists.
+        upper: Lengths of the upper bones, with an axis for the coordinates.
+        lower: Lengths of the lower bones, likewise.
+        poles: Directions to the side of which the limbs bend.
+    """
+    way = targets - roots
+    distance = _length(way)[..., None]
+    along = way / distance
+    distance = distance.clamp_max(upper + lower).clamp_min((upper - lower).abs())
+    # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
+    foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
+    height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
+    aside = unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
+    return roots + along * foot + aside * height, roots + along * distance
+
+
+def turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tensor, "*batch 3"]:
     """Vectors, turned by the smallest rotation that turns one unit vector into another (Rodrigues)."""
     axis = torch.linalg.cross(source, target)
     once = torch.linalg.cross(axis, vectors)

@@ -15,7 +15,7 @@ from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, padded, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser, Network
-from prbench_adapters.diffusion.goal_frame import PARTS, GoalFrame, smoothed
+from prbench_adapters.diffusion.goal_frame import TRAINED_WITH, GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
 
@@ -27,8 +27,6 @@ KIND = "denoiser"
 # Averages over neighbouring frames that take the tremble out of generated features, one of which training knows. After
 # three, accelerations of wrists and trunk exceed people's in a tenth of MDM's motions instead of a fifth.
 SMOOTHINGS = 3
-# What decoding of goal-frame features constructs unless it is asked for other parts.
-USUAL_PARTS = PARTS - {"reach"}
 
 
 class TextVectors:
@@ -157,7 +155,7 @@ class MotionModel:
         condition: EncodedCondition,
         n_frames: Counts,
         *,
-        parts: frozenset[str] = USUAL_PARTS,
+        parts: frozenset[str] = TRAINED_WITH,
     ) -> Float[torch.Tensor, "batch frames 22 3"]:
         """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least.
 

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
 from prbench_adapters.diffusion.generation import choice, number, whole_number
-from prbench_adapters.diffusion.model import USUAL_PARTS
+from prbench_adapters.diffusion.goal_frame import TRAINED_WITH
 from prbench_adapters.diffusion.sampling import Spacing
 from prbench_adapters.tensors import TensorRecord
 
@@ -87,7 +87,7 @@ class OptimisationSettings:
     hand: Hand = "right"
     bones: Bones = "predicted"
     reach: Reach = "predicted"
-    parts: frozenset[str] = USUAL_PARTS
+    parts: frozenset[str] = TRAINED_WITH
     guidance: float = 1.0
     keep: Literal["last", "best"] = "last"
     stop_below: float | None = None

@@ -28,9 +28,9 @@ DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _SAMPLING_ALONE = ("sampler", "steps", "noise-scale")
-# What is constructed after the network, and how; ``predicted`` leaves it to the network. The last three are parts of
+# Parts of decoding, and how they are constructed; ``predicted`` leaves one to the network. All but the bones belong to
 # goal-frame features.
-_CONSTRUCTED = {"bones": "initial", "feet": "steps", "first": "given", "smooth": "averaged", "reach": "goal"}
+_CONSTRUCTED = {"bones": "initial", "first": "given", "smooth": "averaged", "reach": "goal"}
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class TrainedFor:
 
     Attributes:
         settings: Settings of plain sampling, or of noise optimisation.
-        finishing: What is done to motions of features that do not bring their own.
+        finishing: What is done to the joints after the network; goal-frame features bring bones of their own.
     """
 
     model: MotionModel
     path: Path
     settings: SamplingSettings | OptimisationSettings
-    finishing: Finishing | None = None
+    finishing: Finishing
 
 
 class PR:
@@ -88,7 +88,7 @@ class PR:
             motions = generate(trained.model, batch, trained.settings)
         else:
             motions = generate_optimised(trained.model, batch, trained.settings)
-        return motions if trained.finishing is None else trained.finishing(motions, batch)
+        return trained.finishing(motions, batch)
 
     def _trained_for(self, condition: Condition) -> TrainedFor:
         if condition in self.models:
@@ -124,8 +124,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """
     from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known
     from prbench_adapters.diffusion.noise_optimisation import PRIME_AND_REACH_OPTIONS
+    from prbench_adapters.finishing import FINISHING_OPTIONS
 
-    own = ("optimise", "text-path", "noise-scale", *_CONSTRUCTED)
+    own = ("optimise", "text-path", "noise-scale", *FINISHING_OPTIONS, *_CONSTRUCTED)
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -155,14 +156,15 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         found = f"found one of goal '{model.configuration.goal}'."
         remedy = "Choose weights that `prbench train --method pr --stage finetune` made."
         raise AdapterError(f"weights {path}: expected a model of goal {' or '.join(wanted)}, {found} {remedy}")
-    finishing = None
-    if model.configuration.features != "goal-frame":
+    finishing = Finishing.of(options)
+    if model.configuration.features == "goal-frame":
+        finishing = replace(finishing, bones=False)
+    else:
         idle = [key for key in ("first", "smooth") if key in options]
         if idle or options.get("reach") == "goal":
             found = f"found one of {model.configuration.features}. Leave the option out, or choose other weights."
             option = (*idle, "reach")[0]
             raise AdapterError(f"option '{option}': weights {path}: expected a model of goal-frame features, {found}")
-        finishing = Finishing.of(options)
     steps = model.configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS and steps > MOST_PASSES:
         why = f"one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
@@ -177,7 +179,7 @@ def _settings(
     """Turn the options into settings for a model."""
     from prbench_adapters.diffusion import noise_optimisation as noise
     from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
-    from prbench_adapters.diffusion.model import USUAL_PARTS
+    from prbench_adapters.diffusion.goal_frame import TRAINED_WITH
 
     steps = configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS:
@@ -188,7 +190,7 @@ def _settings(
                 raise ValueError(f"option '{key}': sampler=one-pass takes the passes of the weights alone; {remedy}")
         options = {**options, "optimise": "off"}
     mode = choice(options, "optimise", _MODES)
-    parts = USUAL_PARTS
+    parts = TRAINED_WITH
     for part, value in _CONSTRUCTED.items():
         usual = value if part in parts else "predicted"
         chosen = choice(options, part, (value, "predicted"), usual)

@@ -146,7 +146,9 @@ def test_guidance_and_steps_decide_the_passes(key, options, passes):
 
 
 def test_the_seed_of_a_sequence_decides_its_motion_and_the_batch_around_it_nothing(method):
-    adapter, batch = method.load(), method.batch(17, 11, 40, 9, 16)
+    # Where motions differ by more than rounding, that may decide whether a foot takes a step.
+    adapter = method.load(**({"feet": "predicted"} if method.apart > 1e-4 else {}))
+    batch = method.batch(17, 11, 40, 9, 16)
     together = adapter.generate(batch, seed=0)
     assert np.array_equal(adapter.generate(batch, seed=9).joints, together.joints), "the run's seed is recorded only"
     for row, n in enumerate(batch.n_frames):
