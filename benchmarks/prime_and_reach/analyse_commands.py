@@ -9,7 +9,8 @@ import click
 import msgspec
 
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, command, progress
+from prbench.cli.commands import Answer, Session, command, progress
+from prbench.cli.places import PlaceType
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
 from prbench_benchmarks.prime_and_reach.study_commands import taken_options
@@ -29,12 +30,16 @@ class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
         fan: The picture of diversity; null if none was asked for.
         fan_sequence: Id of the sequence in that picture; null if none was asked for.
         caption: Text below that picture in a paper.
+        page: The page of pairs; null if none was asked for.
+        pairs: Number of pairs on it.
     """
 
-    tables: list[Table]
+    tables: list[Table] = []
     fan: Path | None = None
     fan_sequence: str | None = None
     caption: str = ""
+    page: Path | None = None
+    pairs: int = 0
 
 
 def _answer(report: AnalysisReport, *lines: str) -> Answer:
@@ -88,13 +93,52 @@ def _distributions(runs: Paths, *, data: Paths) -> Answer:
         return _answer(AnalysisReport(tables=distribution_tables(runs, data, progress=show)))
 
 
+def _pairs(runs: Paths, *, data: Paths, out: Path | None, pairs: int, seed: int, permission: tuple[str, ...]) -> Answer:
+    from prbench.viewing.pairs import KEY, PAGE
+    from prbench_benchmarks.prime_and_reach.telling_apart import write_pairs_of_run
+
+    if len(runs) != 1 or out is None:
+        raise UsageError("analyse pairs: name one RUN, and with --out DIR the folder that gets the page and its key.")
+    key = write_pairs_of_run(runs[0], data, out, pairs=pairs, seed=seed, permitted=permission)
+    report = AnalysisReport(page=out / PAGE, pairs=len(key.pairs))
+    hand = f"Hand out {PAGE} alone; then: prbench analyse answers {out} answers-*.json"
+    return _answer(report, f"page: {out / PAGE} ({len(key.pairs)} pairs)", f"key: {out / KEY}", hand)
+
+
+def _answers(paths: Paths) -> Answer:
+    from prbench.viewing.pairs import answers_table
+
+    if len(paths) < 2:
+        raise UsageError("analyse answers: name the DIR that `analyse pairs` has written, and FILE... of answers.")
+    return _answer(AnalysisReport(tables=[answers_table(paths[0], paths[1:])]))
+
+
 # The function of each kind, and the options that it takes .
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
+    "answers": (_answers, ()),
     "causes": (_causes, ("data", "by", "workers")),
     "distributions": (_distributions, ("data",)),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
+    "pairs": (_pairs, ("data", "out", "pairs", "seed", "permission")),
 }
+
+
+class _OutType(PlaceType):
+    """Type of ``--out``: the folder of pairs, or the file that gets the report as JSON."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take a path, or a URL."""
+        of_pairs = ctx is not None and ctx.params.get("kind") == "pairs"
+        return PlaceType("folder").convert(value, param, ctx) if of_pairs else super().convert(value, param, ctx)
+
+
+def _kept_out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+    """Leave a file to the session, which writes the report of any command into it."""
+    if ctx.params.get("kind") == "pairs":
+        return value
+    ctx.ensure_object(Session).report_file = value
+    return None
 
 
 @command(
@@ -118,6 +162,15 @@ _KINDS = {
     "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."
 )
 @opt.choice_option("--by", ("layout", "limit"), "Of causes: a row for each layout, or each limit (needs the tables).")
+@click.option(
+    "--out",
+    type=_OutType("file", dir_okay=False),
+    callback=_kept_out,
+    metavar="FILE|DIR",
+    help="Of pairs: the folder of the page. Of others: write the report as JSON to this file, too.",
+)
+@opt.number_option("--pairs", "Of pairs: most pairs, of each table as many (default 60).", default=60)
+@opt.seed_option("of the pairs, their order and sides")
 @opt.permission_option
 @opt.workers_option()
 @click.pass_context
@@ -133,6 +186,11 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
 
     diversity: how far several motions for one goal differ in poses, path and timing, beside recorded people; RUN is one
     run with --samples 2 or more (docs/diversity.md).
+
+    pairs: a page on which people choose between RUN's motion and the recorded one; answers: what the saved files say
+    (analyse answers DIR FILE...).
     """
     make, taken = _KINDS[kind]
+    if "out" not in taken:
+        del given["out"]
     return make(runs, **taken_options(ctx, f"analyse {kind}", given, taken))

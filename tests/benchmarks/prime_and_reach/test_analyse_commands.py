@@ -144,6 +144,36 @@ def test_causes_of_motions_that_are_not_plausible_add_up_to_the_score(table, tmp
     assert (found.blocks[0].rows[0].text.get("layout") == "synthetic-adt") == (by == "layout")
 
 
+def test_pairs_of_a_run_are_written_answered_and_counted(table, tmp_path, install, capsys):
+    install("made", adapter_source(body=GENTLE))
+    run = made_run(table, tmp_path / "run", samples=1)
+    out = tmp_path / "pairs"
+    words = ["analyse", "pairs", run, "--data", str(table.folder), "--out", str(out)]
+    made = reported([*words, "--pairs", "5", "--seed", "3"], capsys)
+    assert (made.page, made.pairs) == (out / "pairs.html", 5)
+    key = json.loads((out / "key.json").read_text())
+    assert {side for pair in key["pairs"] for side in pair["sides"]} == {"ground truth", "made, goal-loc"}
+    answers = [{"pair": n, "choice": "AB"[p["sides"].index("ground truth")]} for n, p in enumerate(key["pairs"], 1)]
+    saved = tmp_path / "answers.json"
+    saved.write_text(json.dumps({"page": key["page"], "judge": "Ann", "answers": answers}))
+    (counted,) = reported(["analyse", "answers", str(out), str(saved)], capsys).tables
+    assert counted.blocks[0].rows[0].cells[0].value == 100.0
+    refused([*words, "--seed", "4"], capsys, code=2, message="is the key of another page")
+    control = made_run(table, tmp_path / "control", method="ground-truth", condition=None, samples=1)
+    refused(["analyse", "pairs", control, *words[3:]], capsys, code=2, message="are a control's")
+
+
+def test_pairs_of_people_whose_licence_keeps_their_motion_need_a_permission(tmp_path, install, capsys):
+    install("made", adapter_source(body=GENTLE))
+    table = fake_dataset(tmp_path / "table", 12, redistribution="none")
+    run = made_run(table, tmp_path / "run", samples=1, split="train", limit=None)
+    words = ["analyse", "pairs", run, "--data", str(table.folder), "--out", str(tmp_path / "out")]
+    refused(words, capsys, code=10, message=f"--permission {table.info.dataset}")
+    assert not (tmp_path / "out").exists()
+    assert reported([*words, "--permission", table.info.dataset], capsys).pairs > 0
+    assert "holds recorded motion by permission" in (tmp_path / "out/pairs.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("name", ["fan.png", "fan.svg"])
 def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsys, name):
     install("made", adapter_source(body=GENTLE))
@@ -198,6 +228,9 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
         (["agreement", "r", "--fan", "f.png"], "analyse agreement takes no --fan; its options: --data, --workers."),
         (["agreement", "r", "--out", "."], "is a directory"),
         (["causes", "r", "--by", "joint"], "'joint' is not one of"),
+        (["pairs", "r"], "name one RUN, and with --out DIR the folder"),
+        (["answers", "d"], "name the DIR that `analyse pairs` has written"),
+        (["answers", "d", "f.json"], "d: holds no key.json."),
         (["diversity", "a", "b"], "analyse diversity: name one RUN."),
         (["diversities", "a"], "'diversities' is not one of"),
     ],

@@ -1,0 +1,138 @@
+"""Blind pairs: a page that does not know its key, in a browser, and what the saved answers say."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from prbench.errors import InputFileError, UsageError
+from prbench.viewing.pairs import KEY, PAGE, answers_table, read_key, write_pairs
+from prbench.viewing.replay.scene import RECORDED, Scene
+from tests.browser import browser, page  # noqa: F401 - fixtures
+from tests.viewing.replay.scenes import a_scene
+
+ASKED = {"question": "Which one was recorded?", "right": RECORDED}
+
+
+def scenes(count: int = 6) -> list[Scene]:
+    made = a_scene("pr, goal-loc", with_eyes=True, notice="Not for trade.")
+    about = [
+        {"sequence_id": f"made-up/{n}", "recording_id": f"room {n % 3}", "title": "pick </script>"}
+        for n in range(count)
+    ]
+    return [replace(made, **each) for each in about]
+
+
+def answers(folder: Path, name: str, choices: dict[int, str], **changes: object) -> Path:
+    told = [{"pair": pair, "choice": side} for pair, side in choices.items()]
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps({"page": read_key(folder).page, "judge": name, "answers": told} | changes))
+    return path
+
+
+def right_sides(folder: Path) -> dict[int, str]:
+    return {n: "AB"[pair.sides.index(RECORDED)] for n, pair in enumerate(read_key(folder).pairs, 1)}
+
+
+def test_the_page_hides_whose_motions_it_shows_and_a_seed_decides_their_order(tmp_path) -> None:
+    key = write_pairs(scenes(), tmp_path / "one", seed=1, **ASKED)
+    text = (tmp_path / "one" / PAGE).read_text(encoding="utf-8")
+    shown = [json.loads(each) for each in re.findall(r'class="pair">(.*?)</script>', text)]
+    assert [each["sequence_id"] for each in shown] == [f"pair {n}" for n in range(1, 7)]
+    names = {"label": "AB", "kind": ("method", "method"), "colour": ("#0072b2", "#d55e00")}
+    for each in shown:
+        assert {name: tuple(motion[name] for motion in each["motions"]) for name in names} == {
+            name: tuple(values) for name, values in names.items()
+        }
+        assert not any(motion[told] for motion in each["motions"] for told in ("gaze", "head", "scores", "sliding"))
+    told = text[text.index('id="data"') : text.index("</script>\n<script>")]  # all but the player
+    assert not any(word in told for word in ("made-up", "room 1", RECORDED, "pr, goal-loc"))
+    assert "Not for trade." in text
+    assert sorted(pair.sides.index(RECORDED) for pair in key.pairs) == [0, 0, 0, 1, 1, 1]
+    assert {pair.sequence_id for pair in key.pairs} == {f"made-up/{n}" for n in range(6)}
+    write_pairs(scenes(), tmp_path / "two", seed=1, **ASKED)
+    for name in (PAGE, KEY):
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+    with pytest.raises(UsageError, match="is the key of another page"):
+        write_pairs(scenes(), tmp_path / "one", seed=2, **ASKED)
+    assert read_key(tmp_path / "one") == key
+
+
+def test_answers_are_counted_by_person_and_dataset(tmp_path) -> None:
+    two = [
+        *scenes(4),
+        *(replace(scene, dataset="other", sequence_id=f"other/{n}") for n, scene in enumerate(scenes(4))),
+    ]
+    key = write_pairs(two, tmp_path, seed=0, **ASKED)
+    right = right_sides(tmp_path)
+    other = {"A": "B", "B": "A"}
+    mixed = {n: side if key.pairs[n - 1].dataset == "other" else other[side] for n, side in right.items()}
+    table = answers_table(tmp_path, [answers(tmp_path, "Ann", right), answers(tmp_path, "Bo", mixed)])
+    shares = {row.text["of"]: (row.text["answers"], row.cells[0].value) for row in table.blocks[0].rows}
+    assert shares == {
+        "everybody": ("16", 75.0),
+        "Ann": ("8", 100.0),
+        "Bo": ("8", 50.0),
+        "made-up": ("8", 50.0),
+        "other": ("8", 100.0),
+    }
+    everybody = table.blocks[0].rows[0].cells[0]
+    assert everybody.low is not None
+    assert everybody.low < 75 < everybody.high
+    assert everybody.recordings == 6
+    assert "8 of 8 pairs were answered" in table.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("choices", "changes", "told"),
+    [
+        ({7: "A"}, {}, r"answers\[0\]: expected a pair from 1 to 6, found 7"),
+        ({1: "C"}, {}, "Invalid enum value 'C'"),
+        ({1: "A"}, {"page": "f00"}, "expected answers to the page of .*, found those to another"),
+        ({1: "A"}, {"judge": "twice"}, "found a second one of 'twice' to pair 1"),
+        ({1: "A"}, {"answers": 3}, "Expected `array`"),
+    ],
+)
+def test_answers_that_are_none_to_this_page_are_refused(tmp_path, choices, changes, told) -> None:
+    write_pairs(scenes(), tmp_path, seed=0, **ASKED)
+    first = answers(tmp_path, "twice", {1: "B"})
+    with pytest.raises(InputFileError, match=told):
+        answers_table(tmp_path, [first, answers(tmp_path, "Bo", choices, **changes)])
+
+
+@pytest.mark.slow
+def test_a_person_answers_by_keys_goes_on_later_and_saves_a_file_that_is_counted(page, tmp_path) -> None:  # noqa: F811
+    write_pairs(scenes(), tmp_path, seed=0, **ASKED)
+    right = right_sides(tmp_path)
+    page.set_viewport_size({"width": 480, "height": 500})
+    page.goto((tmp_path / PAGE).as_uri())
+    assert page.locator("#question").text_content() == "Which one was recorded?"
+    page.get_by_label("Pause").wait_for()  # it plays by itself
+    page.keyboard.press(" ")
+    page.get_by_label("Play (Space)").wait_for()
+    page.emulate_media(reduced_motion="reduce")
+    page.keyboard.press("s")
+    assert "First write a name" in page.locator("#said").text_content()
+    page.locator("#player canvas").click()  # keys are heard before the player, which has views of the same names
+    for number in (1, 2, 3):
+        page.keyboard.press("12"["AB".index(right[number])])
+    page.reload()
+    assert page.locator("#place").text_content() == "pair 4 of 6; 3 answered"
+    page.keyboard.press("u")
+    assert page.locator("#place").text_content() == "pair 3 of 6; 3 answered"
+    assert page.locator(f"#{right[3]}").get_attribute("aria-pressed") == "true"
+    page.keyboard.press("n")
+    for number in (4, 5, 6):
+        page.locator(f"#{right[number]}").click()
+    assert "All pairs are answered" in page.locator("#said").text_content()
+    page.locator("#judge").fill("Ann/1")
+    with page.expect_download() as saved:
+        page.locator("#save").click()
+    assert saved.value.suggested_filename == "answers-Ann-1.json"
+    saved.value.save_as(tmp_path / "saved.json")
+    (row,) = answers_table(tmp_path, [tmp_path / "saved.json"]).blocks[0].rows
+    assert (row.text["answers"], row.cells[0].value) == ("6", 100.0)
