@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import PARENTS, Joint, invert_rigid
+from prbench.readers.mogaze.format import PARENT_LINKS
 
 
 @dataclass(frozen=True)
@@ -96,18 +97,12 @@ SMPL22 = JointSet("smpl22", _PARENTS, "pelvis", _WRISTS, _HIPS, _SHOULDERS)
 # The 21 links of MoGaze (docs/specification/mogaze.md#files).
 MOGAZE21 = JointSet(
     name="mogaze21",
-    parents={
-        "base": "", "pelvis": "base", "torso": "pelvis", "neck": "torso", "head": "neck",
-        "linnerShoulder": "torso", "lShoulder": "linnerShoulder", "lElbow": "lShoulder", "lWrist": "lElbow",
-        "rinnerShoulder": "torso", "rShoulder": "rinnerShoulder", "rElbow": "rShoulder", "rWrist": "rElbow",
-        "lHip": "base", "lKnee": "lHip", "lAnkle": "lKnee", "lToe": "lAnkle",
-        "rHip": "base", "rKnee": "rHip", "rAnkle": "rKnee", "rToe": "rAnkle",
-    },
+    parents=PARENT_LINKS,
     pelvis="base",
     wrists=("lWrist", "rWrist"),
     hips=("lHip", "rHip"),
     shoulders=("lShoulder", "rShoulder"),
-)  # fmt: skip
+)
 
 # The 23 joints that GIMO's study scores: joints 0 to 22 of SMPL-X.
 GIMO23 = replace(SMPL22, name="gimo23", parents={**SMPL22.parents, "jaw": "head"})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +12,7 @@ import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Session, command, progress
-from prbench.cli.places import PlaceType
+from prbench.cli.places import Remote
 from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
 from prbench_benchmarks.prime_and_reach.study_commands import taken_options
@@ -31,7 +33,6 @@ class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
         fan_sequence: Id of the sequence in that picture; null if none was asked for.
         caption: Text below that picture in a paper.
         page: The page of pairs; null if none was asked for.
-        pairs: Number of pairs on it.
     """
 
     tables: list[Table] = []
@@ -39,7 +40,6 @@ class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
     fan_sequence: str | None = None
     caption: str = ""
     page: Path | None = None
-    pairs: int = 0
 
 
 def _answer(report: AnalysisReport, *lines: str) -> Answer:
@@ -55,12 +55,6 @@ def _agreement(runs: Paths, *, data: Paths, workers: int) -> Answer:
     from prbench_benchmarks.prime_and_reach.diversity import agreement_tables
 
     return _answer(AnalysisReport(tables=agreement_tables(runs, opt.run_checker(data, workers))))
-
-
-def _causes(runs: Paths, *, data: Paths, by: Any, workers: int) -> Answer:
-    from prbench_benchmarks.prime_and_reach.causes import causes_tables
-
-    return _answer(AnalysisReport(tables=causes_tables(runs, opt.run_checker(data, workers), by=by)))
 
 
 def _diversity(
@@ -86,11 +80,12 @@ def _diversity(
     return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id, caption=caption), *lines)
 
 
-def _distributions(runs: Paths, *, data: Paths) -> Answer:
-    from prbench_benchmarks.prime_and_reach.distributions import distribution_tables
-
+def _tables(target: str, runs: Paths, *, data: Paths, **options: Any) -> Answer:
+    """Answer with the tables that a function of this package, ``module:function``, measures anew."""
+    module, _, name = target.partition(":")
     with progress("measuring") as show:
-        return _answer(AnalysisReport(tables=distribution_tables(runs, data, progress=show)))
+        make = getattr(import_module(f"{__package__}.{module}"), name)
+        return _answer(AnalysisReport(tables=make(runs, data, progress=show, **options)))
 
 
 def _pairs(runs: Paths, *, data: Paths, out: Path | None, pairs: int, seed: int, permission: tuple[str, ...]) -> Answer:
@@ -100,9 +95,8 @@ def _pairs(runs: Paths, *, data: Paths, out: Path | None, pairs: int, seed: int,
     if len(runs) != 1 or out is None:
         raise UsageError("analyse pairs: name one RUN, and with --out DIR the folder that gets the page and its key.")
     key = write_pairs_of_run(runs[0], data, out, pairs=pairs, seed=seed, permitted=permission)
-    report = AnalysisReport(page=out / PAGE, pairs=len(key.pairs))
-    hand = f"Hand out {PAGE} alone; then: prbench analyse answers {out} answers-*.json"
-    return _answer(report, f"page: {out / PAGE} ({len(key.pairs)} pairs)", f"key: {out / KEY}", hand)
+    lines = f"page: {out / PAGE} ({len(key.pairs)} pairs)", f"key: {out / KEY} (keep it; hand out the page alone)"
+    return _answer(AnalysisReport(page=out / PAGE), *lines)
 
 
 def _answers(paths: Paths) -> Answer:
@@ -117,26 +111,20 @@ def _answers(paths: Paths) -> Answer:
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
     "answers": (_answers, ()),
-    "causes": (_causes, ("data", "by", "workers")),
-    "distributions": (_distributions, ("data",)),
+    "causes": (partial(_tables, "telling_apart:causes_tables"), ("data", "by")),
+    "distributions": (partial(_tables, "distributions:distribution_tables"), ("data",)),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
     "pairs": (_pairs, ("data", "out", "pairs", "seed", "permission")),
+    "tell-apart": (partial(_tables, "telling_apart:tell_apart_table"), ("data",)),
 }
 
 
-class _OutType(PlaceType):
-    """Type of ``--out``: the folder of pairs, or the file that gets the report as JSON."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Take a path, or a URL."""
-        of_pairs = ctx is not None and ctx.params.get("kind") == "pairs"
-        return PlaceType("folder").convert(value, param, ctx) if of_pairs else super().convert(value, param, ctx)
-
-
-def _kept_out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
-    """Leave a file to the session, which writes the report of any command into it."""
+def _out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+    """Return the folder of pairs; of other kinds, leave the file to the session, which writes the report into it."""
     if ctx.params.get("kind") == "pairs":
-        return value
+        return Remote(value.url, "folder") if isinstance(value, Remote) else value
+    if isinstance(value, Path) and value.is_dir():
+        raise click.BadParameter(f"{value} is a directory.")
     ctx.ensure_object(Session).report_file = value
     return None
 
@@ -161,11 +149,11 @@ def _kept_out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> An
 @click.option(
     "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."
 )
-@opt.choice_option("--by", ("layout", "limit"), "Of causes: a row for each layout, or each limit (needs the tables).")
+@opt.choice_option("--by", ("layout", "limit"), "Of causes: the flags on each table, or each limit.")
 @click.option(
     "--out",
-    type=_OutType("file", dir_okay=False),
-    callback=_kept_out,
+    type=opt.OUT_FILE,
+    callback=_out,
     metavar="FILE|DIR",
     help="Of pairs: the folder of the page. Of others: write the report as JSON to this file, too.",
 )
@@ -179,7 +167,7 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
 
     agreement: on which sequences methods succeed: those of recorded people, and by where the goal is.
 
-    causes: what keeps motions from being plausible, a column a flag (docs/specification/metrics.md#plausible).
+    causes: what keeps motions from being plausible, a column a run (docs/specification/metrics.md#plausible).
 
     distributions: how twelve features of the motions (speeds, steps, timing, posture) are distributed, beside recorded
     people's of the same sequences (docs/specification/metrics.md#distributions).
@@ -188,7 +176,7 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     run with --samples 2 or more (docs/diversity.md).
 
     pairs: a page on which people choose between RUN's motion and the recorded one; answers: what the saved files say
-    (analyse answers DIR FILE...).
+    (analyse answers DIR FILE...); tell-apart: how well a classifier tells them apart (docs/telling-apart.md).
     """
     make, taken = _KINDS[kind]
     if "out" not in taken:

@@ -23,8 +23,7 @@ from prbench.metrics.footing import footing, swings
 from prbench.protocol.manifests import MetricConstants
 from prbench.sequences import SequenceTable
 from prbench.tables import Block, Cell, Column, Row, Table
-from prbench.viewing.replay.read import RunMotions
-from prbench_benchmarks.prime_and_reach.diversity import Progress, require_motions, rules_of
+from prbench_benchmarks.prime_and_reach.diversity import Progress, beside_people, rules_of
 
 # Title and unit of each feature by its id.
 FEATURES = {
@@ -44,8 +43,6 @@ FEATURES = {
 MOST = 0.15  # KS distance up to which a feature passes
 _LEVEL = 0.5  # horizontal part of the head's direction, a unit vector, below which its yaw is not looked at
 _DECIMALS = 9  # to which values are rounded, so that equal numbers of frames are equal times
-_NUMBERS = ("start_time", "prime_time", "head_tilt_deg", "fps")
-_COLUMNS = [*_NUMBERS, "goal_location", "recording_id", "joints"]
 # The recording of each sequence, and its features: recorded people first, then each sample of the method.
 _Measured = tuple[list[str], dict[str, Float[np.ndarray, "n samples_and_1"]]]
 
@@ -156,20 +153,12 @@ def largest_difference(
 
 
 def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> _Measured:
-    dataset = table.info.dataset
-    samples = [RunMotions.open(run, dataset, label="", sample=sample) for sample in range(run.record.samples)]
-    names = frozenset(require_motions(run, table))
     constants = rules_of(run).metrics
     recordings: list[str] = []
     rows = []
-    for chunk in table.chunks(columns=_COLUMNS, ids=names, rows=1):
-        (name,) = chunk.sequence_ids
-        begin, prime_time, tilt, fps = (float(chunk.numbers(column)[0]) for column in _NUMBERS)
-        recordings += [f"{dataset}/{recording}" for recording in chunk.strings("recording_id")]
-        joints = np.stack([chunk.joints, *(motion.joints(name, len(chunk.joints)) for motion in samples)])
-        motions = MotionsToGoal(joints, chunk.vectors("goal_location")[0], tilt, fps)
-        rows.append(features(motions, prime_time - begin, constants))
-        progress(len(rows), len(names), dataset)
+    for _, recording, motions, prime_time in beside_people(run, table, progress):
+        recordings.append(f"{table.info.dataset}/{recording}")
+        rows.append(features(motions, prime_time, constants))
     return recordings, {name: np.stack([row[name] for row in rows]) for name in FEATURES}
 
 

@@ -32,7 +32,8 @@ from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED_COLOUR
 
 # Called with finished sequences, all of them, and the dataset.
 Progress = Callable[[int, int, str], None]
-_COLUMNS = ["joints", "goal_location", "head_tilt_deg", "fps", "recording_id"]
+_NUMBERS = ("start_time", "prime_time", "head_tilt_deg", "fps")
+_COLUMNS = [*_NUMBERS, "goal_location", "recording_id", "joints"]
 
 
 def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = lambda *_: None) -> list[Table]:
@@ -111,8 +112,7 @@ def _require_several(run: RunFolder) -> RunFolder:
         found = "found one, which differs from nothing. Run the method with --samples 5."
         raise UsageError(f"{run.path}: expected two motions or more of each sequence, {found}")
     if record.control is not None:
-        remedy = "Name the run without it."
-        raise UsageError(f"{run.path}: its motions were given other sequences' goals ({record.control}). {remedy}")
+        raise UsageError(f"{run.path}: its motions were given other sequences' goals. Name the run without --control.")
     return run
 
 
@@ -134,6 +134,36 @@ def require_motions(run: RunFolder, table: SequenceTable) -> list[str]:
     return names
 
 
+def beside_people(
+    run: RunFolder, table: SequenceTable, progress: Progress = lambda *_: None, *, names: Sequence[str] = ()
+) -> Iterator[tuple[str, str, MotionsToGoal, float]]:
+    """Yield sequences of which a run holds motions, in table order.
+
+    Args:
+        run: The run.
+        table: The table that it was made on.
+        progress: Called after each sequence.
+        names: Ids of some of them; all by default.
+
+    Yields:
+        The sequence, its recording, the recorded motion with each of the run's behind it, and the prime time.
+
+    Raises:
+        RunError: if the run has no motions on the table.
+        PredictionsError: if a motion does not fit its sequence.
+    """
+    dataset = table.info.dataset
+    samples = [RunMotions.open(run, dataset, label="", sample=sample) for sample in range(run.record.samples)]
+    wanted = frozenset(names or require_motions(run, table))
+    for done, chunk in enumerate(table.chunks(columns=_COLUMNS, ids=wanted, rows=1), 1):
+        (name,) = chunk.sequence_ids
+        begin, prime_time, tilt, fps = (float(chunk.numbers(column)[0]) for column in _NUMBERS)
+        joints = np.stack([chunk.joints, *(motion.joints(name, len(chunk.joints)) for motion in samples)])
+        motions = MotionsToGoal(joints, chunk.vectors("goal_location")[0], tilt, fps)
+        yield name, chunk.strings("recording_id")[0], motions, prime_time - begin
+        progress(done, len(wanted), dataset)
+
+
 def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table:
     constants = rules_of(run).metrics
     info = table.info
@@ -142,13 +172,12 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
     method: list[dict[str, float]] = []
     people: list[dict[str, float]] = []
     apart: list[np.ndarray] = []
-    for recording, generated, recorded, distances in _pairs(run, table, names):
+    for recording, generated, recorded, distances in _pairs(run, table, names, progress):
         recordings.append(recording)
         method.append(spreads(generated, constants))
         if recorded is not None:
             people.append(spreads(recorded, constants))
         apart.append(distances)
-        progress(len(method), len(names), info.dataset)
     if len(people) == len(method):
         goals_apart, lengths_apart = np.median(np.concatenate(apart), axis=0)
         said = (
@@ -199,7 +228,7 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
 
 
 def _pairs(
-    run: RunFolder, table: SequenceTable, names: Sequence[str]
+    run: RunFolder, table: SequenceTable, names: Sequence[str], progress: Progress = lambda *_: None
 ) -> Iterator[tuple[str, MotionsToGoal, MotionsToGoal | None, np.ndarray]]:
     """Yield the motions of some sequences, in table order.
 
@@ -207,34 +236,23 @@ def _pairs(
         The recording; the generated and the recorded motions, None where there are too few; and how far the goal
         (metres) and the length (seconds) of each similar task are from the sequence's own (others, 2).
     """
-    first = RunMotions.open(run, table.info.dataset, label="")
-    samples = [replace(first, sample=sample) for sample in range(run.record.samples)]
     tasks = Tasks.read(table)
     row_of = {name: row for row, name in enumerate(tasks.sequence_ids)}
-    similar = {name: tasks.most_similar(row_of[name], len(samples) - 1) for name in names}
+    similar = {name: tasks.most_similar(row_of[name], run.record.samples - 1) for name in names}
     motions = read_motions(table, frozenset(tasks.sequence_ids[row] for rows in similar.values() for row in rows))
-    for chunk in table.chunks(columns=_COLUMNS, ids=frozenset(names), rows=1):
-        name = chunk.sequence_ids[0]
+    for name, recording, together, _ in beside_people(run, table, progress, names=names):
         row = row_of[name]
         others = similar[name]
-        n_frames = int(chunk.n_frames[0])
         goal = tasks.goal_location[row]
-        generated = MotionsToGoal(
-            joints=np.stack([motion.joints(name, n_frames) for motion in samples]),
-            goal=goal,
-            head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
-            fps=float(chunk.numbers("fps")[0]),
-        )
-        laid = [
-            laid_on_goal(at_length(motions[tasks.sequence_ids[other]], n_frames), tasks.goal_location[other], goal)
-            for other in others
-        ]
-        recorded = None
-        if len(laid) == len(samples) - 1:
-            recorded = replace(generated, joints=np.stack([chunk.joints.astype(np.float64), *laid]))
+        laid = [together.joints[0]]
+        for other in others:
+            stretched = at_length(motions[tasks.sequence_ids[other]], together.joints.shape[1])
+            laid.append(laid_on_goal(stretched, tasks.goal_location[other], goal))
+        recorded = replace(together, joints=np.stack(laid)) if len(laid) == run.record.samples else None
         distances = np.linalg.norm(tasks.goal_location[others] - goal, axis=-1)
         lengths = np.abs(tasks.seconds[others] - tasks.seconds[row])
-        yield chunk.strings("recording_id")[0], generated, recorded, np.stack((distances, lengths), axis=1)
+        generated = replace(together, joints=together.joints[1:])
+        yield recording, generated, recorded, np.stack((distances, lengths), axis=1)
 
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}

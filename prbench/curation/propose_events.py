@@ -18,7 +18,7 @@ from jaxtyping import Float
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.files.storage import atomic_path, sole_writer
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import CHAINS, Joint
 from prbench.geometry.timelines import nearest_index
 from prbench.progress_bar import ProgressCallback
 from prbench.readers import AnnotatedByHand, RecordingFiles, reader_for
@@ -29,10 +29,7 @@ from prbench.shown import csv_text
 Times = Float[np.ndarray, " n"]
 Joints = Float[np.ndarray, "n 22 3"]
 
-_ARMS = (
-    (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
-    (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
-)
+_ARMS = (CHAINS[4][2:], CHAINS[3][2:])  # left and right: shoulder, elbow, wrist
 _SMOOTHING = 0.17  # seconds
 _BEFORE = 1.0  # seconds before a minimum in which the wrist must have moved and gaze is looked at
 _STARTED = 0.35  # m/s relative to the pelvis; slower wrists did not reach

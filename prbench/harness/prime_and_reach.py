@@ -136,23 +136,17 @@ class MotionWork(CaseWork):
             others = (source.redrawn(first, places, seed=request.seed, sample=sample) for sample in samples)
             yield index, MotionQuestion((first, *others), motions)
 
-    @property
-    def rules(self) -> ScoringRules:
-        """How the answers are scored."""
-        return ScoringRules(
+    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
+        """See :meth:`CaseWork.scores`."""
+        rules = ScoringRules(
             self.protocol.metrics,
             recorded_motion=self.request.method in controls.RECORDED_MOTION,
             other_goals=self._scored_goals,
-            # Controls know the first pose under any condition; the nearest motion begins with a pose of its own.
-            pose_given="initial_joints" in GIVEN[Condition(self.condition)]
-            or (self.method.kind == CONTROL and self.method.name != installed.NEAREST_NEIGHBOUR),
+            pose_given=has_given_pose(self.method, self.condition),
             run_of=self.method.name,
         )
-
-    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
-        """See :meth:`CaseWork.scores`."""
         samples = range(self.request.samples)
-        yield from score_selection(self.selection, files.predictions, samples=samples, rules=self.rules, engine=engine)
+        yield from score_selection(self.selection, files.predictions, samples=samples, rules=rules, engine=engine)
 
     def findings(self, files: DatasetFolder) -> tuple[Diagnosis, ...]:
         """Examine the motions of a method; those of controls are the harness's own."""
@@ -167,6 +161,13 @@ class MotionWork(CaseWork):
     def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Compare the agreement with what follows from the scores."""
         require_agreement(files, agreement_with_people(self.selection, scores, protocol=self.protocol))
+
+
+def has_given_pose(method: MethodRecord, condition: str) -> bool:
+    """Return True if Plausible compares the motions of a method with the recorded first pose."""
+    # Controls know that pose under any condition; the nearest motion begins with a pose of its own.
+    knows = method.kind == CONTROL and method.name != installed.NEAREST_NEIGHBOUR
+    return knows or condition in {each for each in Condition if "initial_joints" in GIVEN[each]}
 
 
 class PrimeAndReach(Benchmark[SequenceTable, Selection]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.geometry.skeleton import BONES, Joint
+from prbench.geometry.skeleton import BONES, CHAINS, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
@@ -13,11 +13,8 @@ from prbench.protocol.manifests import MetricConstants
 _NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin
 
 
-_LEGS = ((Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE), (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE))
-_ARMS = (
-    (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST),
-    (Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST),
-)
+_LEGS = (CHAINS[1][1:4], CHAINS[0][1:4])
+_ARMS = (CHAINS[4][2:], CHAINS[3][2:])  # left and right: shoulder, elbow, wrist
 _TRUNK = (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK, Joint.HEAD)
 
 
@@ -85,7 +82,7 @@ def arm_shares(motion: MotionBatch) -> Float[np.ndarray, "2 n"]:
     return _limbs(motion, _ARMS) / np.maximum(body_length(motion), _NO_LENGTH)
 
 
-def _limbs(motion: MotionBatch, chains: tuple[tuple[Joint, ...], ...]) -> Float[np.ndarray, "chains n"]:
+def _limbs(motion: MotionBatch, chains: tuple[tuple[int, ...], ...]) -> Float[np.ndarray, "chains n"]:
     poses = motion.values[motion.first].astype(np.float64)
     return np.stack([np.linalg.norm(np.diff(poses[:, chain], axis=1), axis=-1).sum(axis=1) for chain in chains])
 

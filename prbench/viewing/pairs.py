@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -19,16 +19,13 @@ from prbench.files.storage import read_json, sole_writer, text_digest, write_jso
 from prbench.harness.intervals import clustered, rate_interval
 from prbench.randomness import named_generator
 from prbench.tables import Block, Column, Row, Table, metric_cell
-from prbench.viewing.player.document import encoded, player_sequence
+from prbench.viewing.player.document import PlayerMotion, encoded, player_sequence
 from prbench.viewing.player.page import filled, player_assets
 from prbench.viewing.replay.scene import METHOD_COLOURS, Scene
 
 PAGE = "pairs.html"
 KEY = "key.json"
 _SIDES = ("A", "B")
-# What the player would tell of a motion beside its body.
-_UNTOLD: dict[str, Any] = {"gaze": None, "gaze_valid": None, "wrist": None, "head": None, "scores": []}
-_UNTOLD |= {"on_target": [], "within_reach": [], "sliding": []}
 
 
 class KeptPair(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -61,19 +58,16 @@ class PairsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     pairs: tuple[KeptPair, ...]
 
 
-class PairAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """The side that was chosen, of the pair of this number, from 1 on."""
-
-    pair: int
-    choice: Literal["A", "B"]
-
-
 class PairAnswers(msgspec.Struct, frozen=True, kw_only=True):
-    """The file that the page saves."""
+    """The file that the page saves.
+
+    Attributes:
+        answers: The chosen side by number of the pair, from 1 on.
+    """
 
     page: str
     judge: str
-    answers: tuple[PairAnswer, ...]
+    answers: dict[str, Literal["A", "B"]]
 
 
 def write_pairs(scenes: Sequence[Scene], folder: Path, *, question: str, right: str, seed: int) -> PairsKey:
@@ -96,11 +90,13 @@ def write_pairs(scenes: Sequence[Scene], folder: Path, *, question: str, right: 
     pairs = []
     for number, (place, flip) in enumerate(zip(generator.permutation(len(scenes)), flipped, strict=True), 1):
         scene = scenes[place]
-        motions = scene.motions[::-1] if flip else scene.motions
-        named = zip(motions, _SIDES, METHOD_COLOURS, strict=False)
-        blind = tuple(replace(motion, label=side, colour=c, kind="method", gaze=None) for motion, side, c in named)
-        told = player_sequence(replace(scene, sequence_id=f"pair {number}", dataset="", notice="", motions=blind))
-        bodies = [msgspec.structs.replace(motion, **_UNTOLD) for motion in told.motions]
+        told = player_sequence(replace(scene, sequence_id=f"pair {number}", dataset="", notice=""))
+        motions = told.motions[::-1] if flip else told.motions
+        # Nothing but bodies: the player would tell scores, slides and gaze, too.
+        bodies = []
+        for motion, side, colour in zip(motions, _SIDES, METHOD_COLOURS, strict=False):
+            body = {"joints": motion.joints, "head_ray": motion.head_ray}
+            bodies.append(PlayerMotion(label=side, kind="method", colour=colour, **body))
         shown.append(encoded(msgspec.structs.replace(told, motions=bodies)).decode())
         about = {name: getattr(scene, name) for name in ("sequence_id", "dataset", "recording_id")}
         pairs.append(KeptPair(sides=(motions[0].label, motions[1].label), **about))
@@ -123,12 +119,9 @@ def read_key(folder: Path) -> PairsKey:
     """Read the key of the pairs in a folder.
 
     Raises:
-        UsageError: if there is none.
-        InputFileError: if it holds something else.
+        InputFileError: if there is none, or it holds something else.
     """
     path = folder / KEY
-    if not path.is_file():
-        raise UsageError(f"{folder}: holds no {KEY}. Name the folder that `prbench analyse pairs --out` has written.")
     return structured(path, read_json(path), PairsKey, remedy="Write the page again, into a new folder.")
 
 
@@ -144,45 +137,38 @@ def answers_table(folder: Path, files: Sequence[Path]) -> Table:
         chance, with its interval over recordings.
 
     Raises:
-        InputFileError: if a file holds no answers, those to another page, or a person's second answer to a pair.
+        InputFileError: if a file holds no answers, those to another page, or two answers of a person to a pair.
     """
     key = read_key(folder)
-    found: dict[tuple[str, int], str] = {}
+    numbered = {str(number): pair for number, pair in enumerate(key.pairs, 1)}
+    found: dict[tuple[str, str], str] = {}
     for path in files:
         given = structured(path, read_json(path), PairAnswers, remedy="Name the file that the page has saved.")
         if given.page != key.page:
             raise InputFileError(path, "page", expected=f"answers to the page of {folder}", found="those to another")
-        for place, answer in enumerate(given.answers):
-            where = f"answers[{place}]"
-            if not 1 <= answer.pair <= len(key.pairs):
-                raise InputFileError(path, where, expected=f"a pair from 1 to {len(key.pairs)}", found=answer.pair)
-            if (given.judge, answer.pair) in found:
-                second = f"a second one of {given.judge!r} to pair {answer.pair}"
-                raise InputFileError(path, where, expected="one answer a person and pair", found=second)
-            found[given.judge, answer.pair] = answer.choice
+        for number, side in given.answers.items():
+            expected = f"one answer of {given.judge!r} to each pair from 1 to {len(numbered)}"
+            if number not in numbered or found.setdefault((given.judge, number), side) != side:
+                raise InputFileError(path, f"answers.{number}", expected=expected, found=f"another: {side}")
     if not found:
         raise UsageError(f"{', '.join(map(str, files))}: expected answers, found none.")
-    pairs = [key.pairs[number - 1] for _, number in found]
-    right = np.array([pair.sides[_SIDES.index(side)] == key.right for pair, side in zip(pairs, found.values())])
-    groups = {"everybody": np.ones(len(right), dtype=bool)}
-    judges = np.array([judge for judge, _ in found])
-    groups |= {judge: judges == judge for judge in sorted(set(judges))} if len(set(judges)) > 1 else {}
-    layouts = np.array([pair.dataset for pair in pairs])
-    groups |= {layout: layouts == layout for layout in sorted(set(layouts))} if len(set(layouts)) > 1 else {}
+    pairs = [numbered[number] for _, number in found]
+    sides = list(found.values())
+    right = np.array([float(pair.sides[_SIDES.index(side)] == key.right) for pair, side in zip(pairs, sides)])
+    groups: dict[str, list[int]] = {"everybody": []}
+    for place, ((judge, _), pair) in enumerate(zip(found, pairs, strict=True)):
+        for name in ("everybody", f"by {judge}", f"of {pair.dataset}"):
+            groups.setdefault(name, []).append(place)
     rows = []
-    for name, chosen in groups.items():
-        some = [pair for pair, kept in zip(pairs, chosen, strict=True) if kept]
+    for name, places in groups.items():
+        some = [pairs[place] for place in places]
         recordings = [f"{pair.dataset}/{pair.recording_id}" for pair in some]
-        share = rate_interval(clustered(right[chosen].astype(float), recordings, [pair.sequence_id for pair in some]))
-        counts = {"sequences": share.n_sequences, "recordings": share.n_recordings}
-        cell = metric_cell("right", "rate", share.mean, share.low, share.high, variant=name, **counts)
-        rows.append(Row(text={"of": name, "answers": str(len(some))}, cells=(cell,)))
-    left = np.mean([side == "A" for side in found.values()])
-    notes = (
-        "50 % is chance: an interval that holds it means that nobody can tell. Intervals are over recordings.",
-        f"{len(set(map(id, pairs)))} of {len(key.pairs)} pairs were answered; {100 * left:.0f} % chose the left side.",
-    )
-    columns = (Column(key="of", title="of", text=True), Column(key="answers", title="answers"))
-    columns += (Column(key="right", title="right", unit="%", digits=1),)
+        share = rate_interval(clustered(right[places], recordings, [pair.sequence_id for pair in some]))
+        about = {"variant": name, "sequences": share.n_sequences, "recordings": share.n_recordings}
+        cell = metric_cell("right", "rate", share.mean, share.low, share.high, **about)
+        rows.append(Row(text={"answers": f"{len(some)} {name}"}, cells=(cell,)))
+    seen = len({number for _, number in found})
+    notes = (f"50 % is chance. {seen} of {len(numbered)} pairs were answered. Intervals are over recordings.",)
+    columns = (Column(key="answers", title="answers", text=True), Column(key="right", title="right", unit="%"))
     title = f"{key.question} Answers that name {key.right}"
     return Table(title=title, columns=columns, blocks=(Block(rows=tuple(rows)),), notes=notes)

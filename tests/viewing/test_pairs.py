@@ -28,9 +28,8 @@ def scenes(count: int = 6) -> list[Scene]:
 
 
 def answers(folder: Path, name: str, choices: dict[int, str], **changes: object) -> Path:
-    told = [{"pair": pair, "choice": side} for pair, side in choices.items()]
     path = folder / f"{name}.json"
-    path.write_text(json.dumps({"page": read_key(folder).page, "judge": name, "answers": told} | changes))
+    path.write_text(json.dumps({"page": read_key(folder).page, "judge": name, "answers": choices} | changes))
     return path
 
 
@@ -72,29 +71,33 @@ def test_answers_are_counted_by_person_and_dataset(tmp_path) -> None:
     other = {"A": "B", "B": "A"}
     mixed = {n: side if key.pairs[n - 1].dataset == "other" else other[side] for n, side in right.items()}
     table = answers_table(tmp_path, [answers(tmp_path, "Ann", right), answers(tmp_path, "Bo", mixed)])
-    shares = {row.text["of"]: (row.text["answers"], row.cells[0].value) for row in table.blocks[0].rows}
+    shares = {row.text["answers"]: row.cells[0].value for row in table.blocks[0].rows}
     assert shares == {
-        "everybody": ("16", 75.0),
-        "Ann": ("8", 100.0),
-        "Bo": ("8", 50.0),
-        "made-up": ("8", 50.0),
-        "other": ("8", 100.0),
+        "16 everybody": 75.0,
+        "8 by Ann": 100.0,
+        "8 by Bo": 50.0,
+        "8 of made-up": 50.0,
+        "8 of other": 100.0,
     }
     everybody = table.blocks[0].rows[0].cells[0]
     assert everybody.low is not None
     assert everybody.low < 75 < everybody.high
     assert everybody.recordings == 6
-    assert "8 of 8 pairs were answered" in table.notes[1]
+    assert "8 of 8 pairs were answered" in table.notes[0]
 
 
 @pytest.mark.parametrize(
     ("choices", "changes", "told"),
     [
-        ({7: "A"}, {}, r"answers\[0\]: expected a pair from 1 to 6, found 7"),
+        ({7: "A"}, {}, "answers.7: expected one answer of 'Bo' to each pair from 1 to 6"),
         ({1: "C"}, {}, "Invalid enum value 'C'"),
         ({1: "A"}, {"page": "f00"}, "expected answers to the page of .*, found those to another"),
-        ({1: "A"}, {"judge": "twice"}, "found a second one of 'twice' to pair 1"),
-        ({1: "A"}, {"answers": 3}, "Expected `array`"),
+        (
+            {1: "A"},
+            {"judge": "twice"},
+            "answers.1: expected one answer of 'twice' to each pair .*another: A",
+        ),
+        ({1: "A"}, {"answers": 3}, "Expected `object`"),
     ],
 )
 def test_answers_that_are_none_to_this_page_are_refused(tmp_path, choices, changes, told) -> None:
@@ -134,5 +137,5 @@ def test_a_person_answers_by_keys_goes_on_later_and_saves_a_file_that_is_counted
         page.locator("#save").click()
     assert saved.value.suggested_filename == "answers-Ann-1.json"
     saved.value.save_as(tmp_path / "saved.json")
-    (row,) = answers_table(tmp_path, [tmp_path / "saved.json"]).blocks[0].rows
-    assert (row.text["answers"], row.cells[0].value) == ("6", 100.0)
+    row = answers_table(tmp_path, [tmp_path / "saved.json"]).blocks[0].rows[0]
+    assert (row.text["answers"], row.cells[0].value) == ("6 everybody", 100.0)

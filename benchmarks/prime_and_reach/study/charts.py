@@ -35,6 +35,7 @@ from prbench.sequences import SequenceTable
 from prbench.shown import clean, figure_text
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell, metric_column
 from prbench.viewing.figures import grid_shape, legend_below, new_figure, styled, write_figure
+from prbench.viewing.replay.read import run_labels
 from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS
 from prbench_benchmarks.prime_and_reach.study.methods import METRIC_COLUMNS
 from prbench_benchmarks.prime_and_reach.study.sizes import origin_of
@@ -79,18 +80,17 @@ def genuine_runs(paths: Sequence[Path], data: Sequence[Path], engine: Engine) ->
     for run in runs[1:]:
         if run.record.protocol_digest != runs[0].record.protocol_digest:
             raise RunError(f"{run.path} and {runs[0].path} follow different protocols. Draw them one by one.")
-    plain = [f"{clean(run.record.method.name)}, {clean(run.record.condition)}" for run in runs]
+    labels = [clean(label) for label in run_labels(paths, [run.record for run in runs])]
     found = []
     for table in tables_of_runs(runs, data):
-        for run, label in zip(runs, plain, strict=True):
+        for run, label in zip(runs, labels, strict=True):
             record = next(each for each in run.record.tables if each.dataset == table.info.dataset)
             if not run.dataset(record.dataset).finished:
                 raise RunError(f"{run.path}: is not finished on {record.dataset}. Run it again, it resumes.")
             unverified = RunChecker(lambda _, own=table: own, engine).check(run, record).unverified
             if unverified:
                 raise RunError(f"{run.path}: cannot be drawn, because {unverified}.")
-            own_label = label if plain.count(label) == 1 else f"{label} ({clean(run.path.name)})"
-            found.append(GenuineRun(own_label, run, record, table))
+            found.append(GenuineRun(label, run, record, table))
     return found
 
 

@@ -126,8 +126,7 @@ def draw_moments(scenes: Sequence[Scene], path: Path, *, title: str) -> str:
 
 def moments(scene: Scene) -> tuple[int, int, int]:
     """Return the first frame, the frame of the prime, and that of the reach, which is the last one."""
-    last = scene.n_frames - 1
-    return 0, min(round(scene.prime_time * scene.fps), last), last
+    return 0, scene.prime_frame, scene.n_frames - 1
 
 
 def _drawn(scene: Scene, motion: ShownMotion, frames: Sequence[int]) -> Float[np.ndarray, "n 2"]:

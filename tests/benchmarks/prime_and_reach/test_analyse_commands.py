@@ -124,24 +124,21 @@ def test_causes_of_motions_that_are_not_plausible_add_up_to_the_score(table, tmp
     install("made", adapter_source(body=GENTLE))
     run = made_run(table, tmp_path / "run", limit=None)
     scores = read_scores(tmp_path / "run/synthetic-adt/scores.parquet").to_pylist()
-    rows = [row for row in scores if row["metric"] == "plausible"]
+    flags = [set(filter(None, (row["flag"] or "").split(";"))) for row in scores if row["metric"] == "plausible"]
     words = ["analyse", "causes", run, *(["--by", by] if by else []), "--data", str(table.folder)]
-    (found,) = reported(words, capsys).tables
-    cells = {(cell.variant or cell.metric, cell.metric): cell for row in found.blocks[0].rows for cell in row.cells}
-    by_cause = {cause: cell.value for (cause, metric), cell in cells.items() if not metric.endswith("_alone")}
-    assert by_cause.pop("plausible") == pytest.approx(100 * np.mean([row["value"] for row in rows]))
-    assert len(by_cause) > 2
+    ((block,),) = (found.blocks for found in reported(words, capsys).tables)
+    found = {row.cells[0].variant: [cell.value for cell in row.cells] for row in block.rows}
+    assert found.pop("plausible") == pytest.approx([100 * np.mean([not each for each in flags])])
+    assert block.title == ("synthetic-adt" if by == "layout" else "")
+    assert len(found) > 2
     if by == "limit":
         limits = load_protocol().metrics.plausible
-        assert {limits[name].flag for name in by_cause} == {f for row in rows for f in (row["flag"] or "").split(";")}
-        return
-    counted = {flag: np.mean([flag in (row["flag"] or "").split(";") for row in rows]) for flag in by_cause}
-    assert by_cause == pytest.approx({flag: 100 * share for flag, share in counted.items()})
-    alone = {flag: np.mean([row["flag"] == flag for row in rows]) for flag in by_cause}
-    assert {flag: cells[f"{flag}_alone", f"{flag}_alone"].value for flag in by_cause} == pytest.approx(
-        {flag: 100 * share for flag, share in alone.items()}
-    )
-    assert (found.blocks[0].rows[0].text.get("layout") == "synthetic-adt") == (by == "layout")
+        assert {limits[told.partition(",")[0]].flag for told in found} == set.union(*flags)
+    else:
+        assert set(found) == set.union(*flags)
+        for flag, shares in found.items():
+            both = [flag in each for each in flags], [each == {flag} for each in flags]
+            assert shares == pytest.approx([100 * np.mean(each) for each in both])
 
 
 def test_pairs_of_a_run_are_written_answered_and_counted(table, tmp_path, install, capsys):
@@ -150,17 +147,31 @@ def test_pairs_of_a_run_are_written_answered_and_counted(table, tmp_path, instal
     out = tmp_path / "pairs"
     words = ["analyse", "pairs", run, "--data", str(table.folder), "--out", str(out)]
     made = reported([*words, "--pairs", "5", "--seed", "3"], capsys)
-    assert (made.page, made.pairs) == (out / "pairs.html", 5)
     key = json.loads((out / "key.json").read_text())
+    assert (made.page, len(key["pairs"])) == (out / "pairs.html", 5)
     assert {side for pair in key["pairs"] for side in pair["sides"]} == {"ground truth", "made, goal-loc"}
-    answers = [{"pair": n, "choice": "AB"[p["sides"].index("ground truth")]} for n, p in enumerate(key["pairs"], 1)]
+    answers = {n: "AB"[pair["sides"].index("ground truth")] for n, pair in enumerate(key["pairs"], 1)}
     saved = tmp_path / "answers.json"
     saved.write_text(json.dumps({"page": key["page"], "judge": "Ann", "answers": answers}))
     (counted,) = reported(["analyse", "answers", str(out), str(saved)], capsys).tables
     assert counted.blocks[0].rows[0].cells[0].value == 100.0
     refused([*words, "--seed", "4"], capsys, code=2, message="is the key of another page")
     control = made_run(table, tmp_path / "control", method="ground-truth", condition=None, samples=1)
-    refused(["analyse", "pairs", control, *words[3:]], capsys, code=2, message="are a control's")
+    refused(["analyse", "pairs", control, *words[3:]], capsys, code=2, message="holds motions of a control")
+
+
+def test_a_classifier_tells_noise_from_people_and_no_people_from_others(tmp_path, install, capsys):
+    install("made", adapter_source(body=GENTLE))
+    table = fake_dataset(tmp_path / "table", 48, recordings=24)
+    words = ["analyse", "tell-apart", made_run(table, tmp_path / "run", samples=1, split="train", limit=None)]
+    (found,) = reported([*words, "--data", str(table.folder)], capsys).tables
+    area, people = found.blocks[0].rows[0].cells
+    assert (area.metric, area.value) == ("area", 1.0)
+    assert area.recordings >= 10
+    assert 0.2 < people.value < 0.8
+    assert " of " in found.blocks[0].rows[0].text["telling"]
+    words[2] = made_run(table, tmp_path / "few", samples=1, split="train", limit=8)
+    refused([*words, "--data", str(table.folder)], capsys, code=2, message="10 recordings or more")
 
 
 def test_pairs_of_people_whose_licence_keeps_their_motion_need_a_permission(tmp_path, install, capsys):
@@ -170,7 +181,7 @@ def test_pairs_of_people_whose_licence_keeps_their_motion_need_a_permission(tmp_
     words = ["analyse", "pairs", run, "--data", str(table.folder), "--out", str(tmp_path / "out")]
     refused(words, capsys, code=10, message=f"--permission {table.info.dataset}")
     assert not (tmp_path / "out").exists()
-    assert reported([*words, "--permission", table.info.dataset], capsys).pairs > 0
+    assert reported([*words, "--permission", table.info.dataset], capsys).page == tmp_path / "out/pairs.html"
     assert "holds recorded motion by permission" in (tmp_path / "out/pairs.html").read_text(encoding="utf-8")
 
 
@@ -230,7 +241,6 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
         (["causes", "r", "--by", "joint"], "'joint' is not one of"),
         (["pairs", "r"], "name one RUN, and with --out DIR the folder"),
         (["answers", "d"], "name the DIR that `analyse pairs` has written"),
-        (["answers", "d", "f.json"], "d: holds no key.json."),
         (["diversity", "a", "b"], "analyse diversity: name one RUN."),
         (["diversities", "a"], "'diversities' is not one of"),
     ],
