@@ -60,11 +60,11 @@ def ray_loss(
     Args:
         predicted: Metres.
         recorded: Same frame.
-        goal: Same frame.
+        goal: Same frame; motions whose goal is NaN have no ray and a loss of 0.
         valid: False for padding.
         prime: Seconds of each frame after the prime time.
     """
-    distance = (goal[:, None] - recorded[:, :, Joint.HEAD]).norm(dim=-1).clamp(_NEAREST, _FARTHEST)
+    distance = (goal[:, None] - recorded[:, :, Joint.HEAD]).norm(dim=-1).clamp(_NEAREST, _FARTHEST).nan_to_num()
     axes = zip(goals.head_axes(predicted), goals.head_axes(recorded), strict=True)
     missed = sum((ours - theirs).square().sum(dim=-1) for ours, theirs in axes) * distance.square()
     weight = (_OTHER_TIMES + torch.exp(-(prime / _PRIMING_WIDTH).square())) * valid

@@ -21,7 +21,15 @@ from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, re
 from prbench_adapters.diffusion.model import SMOOTHINGS
 from prbench_adapters.finishing import FINISHING_OPTIONS, Finishing
 from prbench_adapters.gmd.model import GMDModel, decode_absolute
-from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, Keyframes, sample_motion, sample_trajectory
+from prbench_adapters.gmd.sampling import (
+    Ends,
+    GMDSettings,
+    GuidedNetwork,
+    Keyframes,
+    sample_motion,
+    sample_trajectory,
+    without_jumps,
+)
 
 _OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "text-path", *FINISHING_OPTIONS)
 # Sequences in one pass, on a processor and elsewhere; their activations are kept for the gradient.
@@ -108,6 +116,7 @@ def generate(model: GMDModel, batch: ConditionBatch, settings: GMDSettings) -> M
         )
         keyframes = ends.root_keyframes()
         trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
+        trajectory = without_jumps(trajectory, keyframes, n_frames)
         features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
         for _ in range(SMOOTHINGS if model.configuration.smoothed else 0):
             features = smoothed(features, n_frames)

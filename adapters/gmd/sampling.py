@@ -13,6 +13,7 @@ from torch import Tensor
 
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
+from prbench_adapters.diffusion.noise_optimisation import smoothed_over_time
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
 from prbench_adapters.gmd.model import (
     HEADING,
@@ -184,6 +185,7 @@ def _ground(pose: Float[Tensor, "batch 22 3"]) -> Float[Tensor, "batch 1 2"]:
 _THOUSAND = 1000
 _GUIDED_FROM = 20
 _LINE_FROM = 100
+_PATH_DEVIATION = 3.0  # frames over which the jumps of a trajectory are spread; choice: they last three
 
 
 @dataclass(frozen=True)
@@ -264,12 +266,19 @@ def sample_trajectory(
         # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so that
         # it may bend. The original leaves the last steps free, and the root some centimetres beside its keyframes.
         imputed = on_line if index >= line_from else at_keyframes
-        fresh = noise.draw(N_ROOT)
-        if i:
-            state = imputed_by_noising(chain, i, state, imputed, fresh)
-    # The last estimate is some centimetres beside its keyframes. Overwritten there it would jump, so the way is bent.
-    path = space.restored(state)
-    return torch.cat((path[..., HEADING], keyframes.bent(path[..., ROOT_XZ]), path[..., ROOT_XZ.stop :]), dim=-1)
+        state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
+    return space.restored(state)
+
+
+def without_jumps(
+    trajectory: Float[Tensor, "batch frames 4"], keyframes: RootGoal, n_frames: Int[Tensor, " batch"]
+) -> Float[Tensor, "batch frames 4"]:
+    """Return a trajectory of stage 1 without the jump beside each keyframe, where the root was overwritten.
+
+    Averaged over time the way is smooth and beside its keyframes, and then it is bent to them.
+    """
+    path = keyframes.bent(smoothed_over_time(trajectory[..., ROOT_XZ], n_frames, _PATH_DEVIATION))
+    return torch.cat((trajectory[..., HEADING], path, trajectory[..., ROOT_XZ.stop :]), dim=-1)
 
 
 def sample_motion(

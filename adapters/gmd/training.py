@@ -26,7 +26,7 @@ Signal = Float[torch.Tensor, "batch frames columns"]
 # Keys that fine-tuning may set otherwise than the weights that it starts from.
 FREE_TO_CHANGE = frozenset({"max_frames", "smoothed", "uniform_skeleton"})
 _FEATURES_ALONE = DenoiserObjective(joint_loss_weight=0.0)
-_BODY_LOSSES = ("joint_loss_weight", "velocity_loss_weight", "bone_loss_weight", "foot_loss_weight")
+_BODY_LOSSES = tuple(f"{part}_loss_weight" for part in ("joint", "velocity", "bone", "ray", "foot", "wrist"))
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -35,11 +35,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Attributes:
         text_drop: Share of sequences whose text is hidden, so that guidance has an unconditional model.
         joint_loss_weight: Weight of the squared error of the decoded joints of the motion network, m²; this and the
-            next three are losses of the compared models (:class:`prbench_adapters.diffusion.training.Objective`), which
+            next five are losses of the compared models (:class:`prbench_adapters.diffusion.training.Objective`), which
             GMD does not have.
-        velocity_loss_weight: Weight of the squared error of their steps between neighbouring frames, m².
-        bone_loss_weight: Weight of the squared error of the bone vectors, m².
-        foot_loss_weight: Weight of the squared steps of planted toes, m².
         path_step_weight: Weight of the squared differences between neighbouring frames' errors of the trajectory
             network; not in GMD.
     """
@@ -48,7 +45,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     joint_loss_weight: float = 0.0
     velocity_loss_weight: float = 0.0
     bone_loss_weight: float = 0.0
+    ray_loss_weight: float = 0.0
     foot_loss_weight: float = 0.0
+    wrist_loss_weight: float = 0.0
     path_step_weight: float = 0.0
 
 

@@ -109,15 +109,10 @@ def trajectory(stage: Stage, keyframes: Keyframes, draws: list[np.ndarray]) -> n
             mean = mean - posterior.variance * stage.scale * gradient
         x = mean + np.sqrt(posterior.variance) * next(remaining) if t else mean
         fresh = next(remaining)
-        imputed = line if stage.reached(t, LINE_FROM) else keyframes.at
-        for n, xz in imputed.items() if t else ():
+        for n, xz in (line if stage.reached(t, LINE_FROM) else keyframes.at).items():
             target = stage.standardised(np.asarray(xz))
             x[n, 1:3] = np.sqrt(before) * target + np.sqrt(1 - before) * fresh[n, 1:3]
-    path = x * stage.std + stage.mean
-    missed = {n: np.asarray(xz) - path[n, 1:3] for n, xz in keyframes.at.items()} | {len(x) - 1: np.zeros(2)}
-    for axis in range(2):
-        path[:, 1 + axis] += np.interp(np.arange(len(x)), list(missed), [each[axis] for each in missed.values()])
-    return path
+    return x * stage.std + stage.mean
 
 
 def motion(stage: Stage, projection: np.ndarray, followed: np.ndarray, draws: list[np.ndarray]) -> np.ndarray:

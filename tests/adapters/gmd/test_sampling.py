@@ -89,6 +89,15 @@ def test_a_path_beside_its_keyframes_is_bent_to_them_and_does_not_jump():
     goal = RootGoal(torch.tensor([[[0.0, 0], [9, 9], [9, 9], [3, 1]]]), torch.tensor([[True, False, False, True]]))
     bent = goal.bent(torch.tensor([[[-0.3, 0], [0.7, 0], [1.7, 0], [2.4, 1]]]))
     assert torch.allclose(bent[0], torch.tensor([[0.0, 0], [1.1, 0], [2.2, 0], [3, 1]]), atol=1e-6)
+    way = torch.zeros(1, 40, 4)
+    way[0, :, 2] = torch.linspace(0, 1, 40)
+    way[0, 30:, 2] += 0.3
+    keyframes = RootGoal(way[..., 1:3], torch.arange(40)[None] % 30 == 0)
+    way[0, 31:, 2] -= 0.3
+    found = sampling.without_jumps(way, keyframes, torch.tensor([31]))
+    assert torch.allclose(found[0, [0, 30], 2], way[0, [0, 30], 2], atol=1e-6)
+    assert found[0, :31, 2].diff().max() < 0.2 * way[0, :31, 2].diff().max()
+    assert torch.equal(found[..., [0, 3]], way[..., [0, 3]])
 
 
 def test_another_goal_moves_the_end_there(model):
@@ -112,13 +121,13 @@ def test_whole_poses_are_met_when_they_are_imputed(model):
 
 def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
     followed = []
-    trajectory_stage = sampling.sample_trajectory
+    trajectory_stage = sampling.without_jumps
 
     def watched(*arguments, **keywords):
         followed.append(trajectory_stage(*arguments, **keywords))
         return followed[-1]
 
-    monkeypatch.setattr("prbench_adapters.gmd.adapter.sample_trajectory", watched)
+    monkeypatch.setattr("prbench_adapters.gmd.adapter.without_jumps", watched)
     joints = generate(model, tiny.batch((24,)), GMDSettings(steps=5)).joints
     assert np.allclose(_root(joints[0]), followed[0][0, :, 1:3].numpy(), atol=1e-4)
 
@@ -180,7 +189,7 @@ def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch):
     sampling.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
 
     line = [(t, 5) for t in range(99, 9, -1)]
-    assert imputed[0] == line + [(t, 2) for t in range(9, 0, -1)]
+    assert imputed[0] == line + [(t, 2) for t in range(9, -1, -1)]
     assert imputed[1] == [(t, 5) for t in range(99, -1, -1)]
     assert guided == 2 * list(range(99, 1, -1))
 

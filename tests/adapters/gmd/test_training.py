@@ -51,8 +51,14 @@ def test_decoded_joints_are_part_of_the_loss_where_they_weigh(data, batch):
     assert torch.allclose(weighed["motion"], plain["motion"])
 
 
+def test_where_the_head_points_and_the_wrists_end_can_weigh(data, batch):
+    found = build("gmd", data, ray_loss_weight=2.0, wrist_loss_weight=3.0)(batch, 0)
+    parts = found["motion"] + found["trajectory"] + 2 * found["ray"] + 3 * found["wrists"]
+    assert torch.allclose(found["loss"], parts, rtol=1e-5)
+
+
 def test_a_network_that_knows_the_motion_has_no_loss_of_joints(data, batch):
-    module = build("gmd", data, joint_loss_weight=1.0, bone_loss_weight=1.0)
+    module = build("gmd", data, joint_loss_weight=1.0, bone_loss_weight=1.0, ray_loss_weight=1.0)
     space = module.space(torch.device("cpu"))
     projected = space.projected(space.standardised(with_absolute_root(batch.features)))
     found = module._motion_losses(projected, projected, batch, space)
