@@ -228,7 +228,7 @@ def test_a_miss_counts_by_the_distance_of_the_goal_and_most_of_all_at_prime_time
     ratio = float(ray_loss(_nodding(), JOINTS, far, VALID, PRIME) / at_prime)
     assert 3.0 < ratio < 5.0, "four times the square metres at twice the distance, about"
     assert float(ray_loss(_nodding(), JOINTS, near, VALID, PRIME + 2.0)) < float(at_prime)
-    assert float(ray_loss(_nodding(), JOINTS, torch.full((1, 3), torch.nan), VALID, PRIME)) == 0.0, "a corpus has no goal"
+    assert float(ray_loss(_nodding(), JOINTS, torch.full((1, 3), torch.nan), VALID, PRIME)) == 0.0, "no goal"
 
 
 def test_a_foot_that_slides_where_the_recorded_one_is_planted_has_a_loss():
