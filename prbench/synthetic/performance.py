@@ -84,6 +84,7 @@ class Habits:
     reach_time: float
     turn_rate: float
     right_handed: float
+    toe_clearance: float
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,9 @@ def jitter(motion: MotionBatch, fps: float) -> Float[np.ndarray, " n"]:
 _INF = float("inf")
 LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "foot_skating_mean": (-_INF, 0.02),
-        "foot_skating_worst": (-_INF, 0.10),
+        # Real motion has about 0.05, because walking toes pass low over the floor.
+        "foot_skating_mean": (0.005, 0.08),
+        "foot_skating_worst": (-_INF, 0.20),
         "contact_share": (0.6, _INF),  # share of frame transitions with a toe on the floor, mean over sequences
         "planted_slide": (-_INF, 1e-4),  # metres that a planted ball of the foot moves along the floor
         "bone_length_change": (-_INF, 1e-6),

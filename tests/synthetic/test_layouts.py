@@ -58,7 +58,7 @@ TOUCHED = {
         "root_height": "bodies.body_quats bodies.world_from_root",
         "video_clock": "clock.device_ns",
         "annotated_times": "priming.frame tracks.start tracks.end tracks.masks.box_px tracks.masks.frame",
-        "annotated_points": "priming.location tracks.masks.location",
+        "annotated_points": "priming.location priming.frame_primed tracks.masks.location",
         "mask_losses": "priming tracks.masks",
     },
     "hot3d": {

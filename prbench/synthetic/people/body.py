@@ -290,6 +290,7 @@ _BACK_WITHIN = 0.8
 _REACH_SKEW = 0.25
 _HUMP_UP = 0.06
 _HUMP_FORWARD = 0.09
+_FULL_HUMP = 0.5  # metres of way
 
 # Seconds that a nudged object slides.
 _SLIDE_TIME = 0.15
@@ -358,8 +359,11 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Side
 def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
     """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
-    kinematics.blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
-    hump = _HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward
+    target = reach.grasp.wrist + beside
+    # Short reaches bulge less.
+    way = float(np.linalg.norm(target - wrist[min(int(np.searchsorted(times, reach.reach_start)), times.size - 1)]))
+    kinematics.blend(wrist, times, reach.reach_start, duration, target, skew=_REACH_SKEW)
+    hump = min(1.0, way / _FULL_HUMP) * (_HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward)
     kinematics.add_bump(wrist, times, reach.reach_start, duration, hump)
 
 

@@ -158,7 +158,7 @@ class _Scheduler:
         if reach.gap is not None:
             return reach.event - reach.gap
         after_motor_start = not preset.gap
-        prime = reach.motor_start + rng.normal(1.0, 0.6) if after_motor_start else reach.event - _draw_gap(preset, rng)
+        prime = reach.motor_start + rng.normal(1.05, 0.6) if after_motor_start else reach.event - _draw_gap(preset, rng)
         latest = reach.event - (_SEEN_BEFORE_TOUCHED if after_motor_start else _GAP_LIMITS[0])
         prime = float(np.clip(prime, 0.4, latest))
         if reach.number > 0:

@@ -133,6 +133,7 @@ def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -
         reach_time=between(0.85, 1.15),
         turn_rate=degrees(62.0, 90.0),
         right_handed=float(rng.random() < 0.9),
+        toe_clearance=between(0.014, 0.024),
     )
     return Person(participant_id, body, habits)
 

@@ -18,7 +18,17 @@ from jaxtyping import Float
 from prbench.errors import UsageError
 from prbench.synthetic.people.kinematics import UP, turn
 from prbench.synthetic.people.person import ObjectKind, Person, Preset, seated_pelvis_height
-from prbench.synthetic.people.reaching import Goal, Grasp, Held, Posture, Reachability, Stand, kept_away
+from prbench.synthetic.people.reaching import (
+    Goal,
+    Grasp,
+    Held,
+    Posture,
+    Reachability,
+    Reacher,
+    Stand,
+    kept_away,
+    shoulder_in_posture,
+)
 from prbench.synthetic.people.walking import BasePose, Segment
 from prbench.synthetic.people.world import Item, Room, draw_item_shape, draw_spot, world_half_extents
 
@@ -402,7 +412,10 @@ class _Planner:
         tag = self._tag_of(action)
         arrival = motor_start if stand.segment is None else stand.segment.arrival
         reach_start = max(motor_start, arrival - float(self.rng.uniform(0.15, 0.45)))
-        length = (0.62 + 0.35 * self.rng.random()) * self.person.habits.reach_time + self.rng.uniform(0.03, 0.12)
+        # Peak speeds grow with the way of the hand, and so do, less, the times that people take (Jeannerod 1984).
+        usual = 0.50 + 0.80 * self._way_of_hand(action, stand, hand)
+        varied = (0.85 + 0.30 * self.rng.random()) * self.person.habits.reach_time
+        length = varied * usual + self.rng.uniform(0.03, 0.12)
         from_hover = tag == "too_near" and action == "pick"
         event = reach_start + float(length) * (_FROM_HOVER if from_hover else 1.0)
         what = (len(self.reaches), action, tag, item, hand)
@@ -411,6 +424,20 @@ class _Planner:
         times = (motor_start, reach_start, event - 0.04, event, _DWELL[action])
         changed = self._draw_provocation(action, tag, goal, stand, event)
         return Reach(*what, *where, *posture, *times, action == "pick" and self.preset.puts, **changed)
+
+    def _way_of_hand(self, action: Action, stand: Stand, hand: int) -> float:
+        """Return the distance from where a hand hangs, works or carries to where it is to reach, metres."""
+        stature = self.person.body.stature
+        pelvis_height = seated_pelvis_height(self.person.body) if self.is_seated else None
+        pose = self.preset.work_pose or (0.0, -self.person.body.arm / stature, 0.0)
+        if action == "put":
+            pose = self.preset.carry_pose
+        side = 1.0 if hand == 0 else -1.0
+        shoulder = shoulder_in_posture(
+            Reacher(self.person, stand.base, hand, pelvis_height), Posture(0.0, 0.0, 0.0, 0.0)
+        )
+        before = shoulder + turn(stand.base.heading, 0.0, stature * np.array([side * pose[0], pose[1], pose[2]]))
+        return float(np.linalg.norm(stand.grasp.wrist - before))
 
     def _tag_of(self, action: Action) -> str:
         """Return the tag that a movement itself carries."""

@@ -24,7 +24,7 @@ _WALK_FROM = 0.7  # metres; shorter ways are shuffled
 _STAY_WITHIN = 0.04  # metres; nearer, and turned by less than 12 degrees, the feet stay
 _STAY_TURN = np.deg2rad(12.0)
 # People walk sideways for a step or two at most (Handford & Srinivasan 2014): on longer ways they turn into them.
-_SIDESTEP = (0.22, 0.42)  # metres; the turn into the way grows from none to whole between the two
+_SIDESTEP = (0.16, 0.34)  # metres; the turn into the way grows from none to whole between the two
 _SIDEWAYS_LEFT = np.deg2rad(40.0)  # angle between body and way that is not turned away
 _LARGEST_TURN = np.deg2rad(45.0)
 _LARGEST_TURNS = np.deg2rad(55.0)  # with the change of heading: a planted foot must not be left behind the pelvis
@@ -195,8 +195,12 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Signal) -
 
 
 _ROLL_BEFORE_LIFT = 0.05  # the ball begins to rise before it moves, as a rolling foot does
-_HEEL_UP = np.deg2rad(48.0)
-_TOES_UP = np.deg2rad(-14.0)
+_HEEL_UP = np.deg2rad(58.0)
+_TOES_UP = np.deg2rad(-16.0)
+BALL_TO_TOE = 0.033  # of the stature; the foot of a swing rolls off the tip of its toe
+HEEL_TO_BALL = 0.098  # of the stature; the foot lands on its heel
+_FOOT_LIFT = 0.044  # metres that the whole foot is lifted
+_FLAT_AFTER = 0.10  # seconds from the heel's landing to the ball's
 _SEATED_FEET_AHEAD = 0.22  # of the stature
 
 
@@ -217,8 +221,13 @@ class Step:
 
     @property
     def landing(self) -> float:
-        """The ball is down."""
+        """The heel is down."""
         return self.lift + self.swing
+
+    @property
+    def flat(self) -> float:
+        """The ball is down."""
+        return self.landing + min(_FLAT_AFTER, self.period - self.swing)
 
 
 Steps = tuple[Step, ...]  # in the order of their lifts
@@ -230,36 +239,50 @@ class Feet:
 
     Attributes:
         pitch: > 0: heel up.
+        planted: The ball is at rest.
+        carrying: The ball or the heel is down.
     """
 
     ball: Sides
     yaw: Float[np.ndarray, "n 2"]
     pitch: Float[np.ndarray, "n 2"]
     planted: Bool[np.ndarray, "n 2"]
+    carrying: Bool[np.ndarray, "n 2"]
 
 
 def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
     """Return the steps that carry a person along the segments of the base."""
     steps = []
     for segment in segments:
-        duration = segment.end - segment.begin
         walking = segment.kind == "walk"
         # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is
         # cadence².
-        cadence = np.sqrt(60.0 * segment.speed / person.habits.walk_ratio)
-        cadence = np.clip(cadence, 78.0 + 32.0 * min(1.0, segment.total_turn / 1.2), 128.0)
-        n_steps = max(int(np.ceil(duration * cadence / 60.0)), 3 if segment.distance > 0.5 else 2)
+        cadence = np.clip(np.sqrt(60.0 * segment.speed / person.habits.walk_ratio), 70.0, 128.0)
+        turn_in, turn_out = (abs(segment.course - segment.start.heading), abs(segment.goal.heading - segment.course))
+        if not walking:
+            turn_in = segment.total_turn
+        # Turns take more and shorter steps than the way between them: a foot must not be left behind the pelvis.
+        turning = [max(cadence, 78.0 + 32.0 * min(1.0, turn / 1.2)) for turn in (turn_in, turn_out)]
+        borders = np.array(
+            [segment.begin, segment.begin + segment.first_turn, segment.arrival - 0.85 * segment.last_turn, segment.end]
+        )
+        borders = np.maximum.accumulate(borders)
+        counts = np.concatenate([[0.0], np.cumsum(np.diff(borders) * [turning[0], cadence, turning[1]]) / 60.0])
+        n_steps = max(round(counts[-1] + 0.62), 3 if segment.distance > 0.5 else 2)
         # The first foot is that on the side of the turn, or of the side step.
         if walking:
             first = int(segment.course < segment.start.heading)
         else:
-            n_steps = max(n_steps, int(np.ceil(segment.distance / 0.34)) + 1)
+            n_steps = max(n_steps, int(np.ceil(counts[-1])), int(np.ceil(segment.distance / 0.34)) + 1)
             sideways = (segment.goal.point - segment.start.point) @ segment.start.left
             first = int(sideways + 0.3 * (segment.goal.heading - segment.start.heading) < 0.0)
-        period = duration / (n_steps - 0.62)
-        swing = (0.76 if walking else 0.80) * period
+        lifts = np.interp(np.arange(n_steps) / (n_steps - 0.62) * counts[-1], counts, borders)
+        periods = np.diff(lifts, append=lifts[-1] + (segment.end - lifts[-1]) / 0.38)
+        # The slower, the longer both feet stand.
+        swing = 0.62 + 0.14 * min(segment.speed / 1.2, 1.0) if walking else 0.80
         for number in range(n_steps):
-            steps.append(Step((first + number) % 2, segment.begin + number * period, period, swing, walking))
+            period = float(periods[number])
+            steps.append(Step((first + number) % 2, float(lifts[number]), period, swing * period, walking))
     return tuple(steps)
 
 
@@ -280,6 +303,7 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
     yaw = np.stack([np.full(n, spot[1]) for spot in spots], axis=1)
     pitch = np.zeros((n, 2))
     planted = np.ones((n, 2), dtype=bool)
+    carrying = np.ones((n, 2), dtype=bool)
     for step in steps:
         index = int(min(np.searchsorted(times, step.lift + 1.38 * step.period), n - 1))
         old_ball, old_yaw = spots[step.foot]
@@ -287,36 +311,48 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
         new_ball, new_yaw = spots[step.foot]
         stride = float(np.linalg.norm(new_ball - old_ball))
         first, last = np.searchsorted(times, [step.lift - _ROLL_BEFORE_LIFT, step.landing])
-        planted[first:last, step.foot] = False
+        carrying[first:last, step.foot] = False
+        planted[first : np.searchsorted(times, step.flat), step.foot] = False
         # The swing: along the floor, up and down.
         elapsed = times[first:last] - step.lift
-        height = (0.060 + 0.025 * min(stride, 1.2)) * min(1.0, stride / 0.12 + abs(new_yaw - old_yaw) / 0.5)
+        rolls = min(1.0, stride / 1.1)
+        lifts = min(1.0, stride / 0.12 + abs(new_yaw - old_yaw) / 0.5)
+        # The tip of the toe comes nearest to the floor half-way through the swing, the more the foot rolls.
+        low = rolls * kinematics.bump((elapsed / step.swing - 0.32) / 0.36)
+        clearance = lifts * (_FOOT_LIFT + low * (person.habits.toe_clearance - _FOOT_LIFT))
         progress = kinematics.eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
         up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
-        down = minimum_jerk((elapsed / step.swing - 0.62) / 0.38)
+        down = minimum_jerk((elapsed / step.swing - 0.70) / 0.30)
+        _roll(pitch[:, step.foot], times, step, rolls)
+        tiptoe = BALL_TO_TOE * person.body.stature * np.sin(np.maximum(pitch[first:last, step.foot], 0.0))
         ball[first:last, step.foot] = old_ball + progress[:, None] * (new_ball - old_ball)
-        ball[first:last, step.foot, 1] = BALL_HEIGHT + height * up * (1.0 - down)
+        ball[first:last, step.foot, 1] = BALL_HEIGHT + up * (clearance * (1.0 - down) + tiptoe)
         ball[last:, step.foot] = new_ball
         yaw[first:last, step.foot] = old_yaw + progress * (new_yaw - old_yaw)
         yaw[last:, step.foot] = new_yaw
-        _roll(pitch[:, step.foot], times, step, min(1.0, stride / 1.1))
-    return Feet(ball, yaw, pitch, planted)
+    # A foot that lands stands on its heel until the ball is down.
+    heel = HEEL_TO_BALL * person.body.stature
+    landing = np.minimum(pitch, 0.0)
+    ball += heel * (turn(yaw, landing, np.array([0.0, 0.0, 1.0])) - turn(yaw, 0.0, np.array([0.0, 0.0, 1.0])))
+    return Feet(ball, yaw, pitch, planted, carrying)
 
 
 def _plant(person: Person, pose: BasePose, foot: int, speed: float, ahead: float | None) -> tuple[Vector, float]:
     """Return where the ball of a foot rests when the base is at ``pose``, and its yaw."""
     side = 1.0 if foot == 0 else -1.0
     forward = person.body.foot_length * (0.62 - 0.30 * min(1.0, speed)) if ahead is None else ahead
-    ball = pose.point + side * person.habits.half_stance * pose.left + forward * pose.forward
+    # Walking feet pass nearer to each other than standing ones stand.
+    aside = side * person.habits.half_stance * (1.0 - 0.45 * min(1.0, speed / 0.8))
+    ball = pose.point + aside * pose.left + forward * pose.forward
     ball[1] = BALL_HEIGHT
     return ball, pose.heading + side * person.habits.toe_out
 
 
 def _roll(pitch: np.ndarray, times: np.ndarray, step: Step, factor: float) -> None:
     """Lift the heel before the foot, land with the toes up, and set the foot flat soon after."""
-    lifted = (step.lift - 0.55 * step.period, step.lift + 0.06, step.lift + 0.65 * step.swing)
-    keys = np.array([*lifted, step.landing, step.landing + 0.1])
-    values = factor * np.array([0.0, _HEEL_UP, 0.0, _TOES_UP, 0.0])
+    heel_off = step.lift - 0.55 * step.period
+    keys = np.array([heel_off, step.lift + 0.06, step.lift + 0.88 * step.swing, step.landing, step.flat])
+    values = factor * np.array([0.0, _HEEL_UP, _TOES_UP, _TOES_UP, 0.0])
     borders = np.searchsorted(times, keys)
     for part in range(len(keys) - 1):
         span = slice(borders[part], borders[part + 1])
@@ -365,7 +401,7 @@ def lowered_pelvis(
     across = hips - ankle
     horizontal = across[..., 0] ** 2 + across[..., 2] ** 2
     reach = np.sqrt(np.maximum((_PLANTED_LEG * body.leg) ** 2 - horizontal, 0.0))
-    room = np.where(feet.planted, ankle[..., 1] + reach - hips[..., 1], np.inf).min(axis=1)
+    room = np.where(feet.carrying, ankle[..., 1] + reach - hips[..., 1], np.inf).min(axis=1)
     allowed = height + room
     dip = np.zeros(times.size)
     missing = np.maximum(height - allowed, 0.0)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from prbench.geometry.skeleton import bone_lengths
+from prbench.geometry.skeleton import WRISTS, bone_lengths
 from prbench.randomness import named_generator
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.people.body import Head, move_eyes, move_head
@@ -18,10 +18,21 @@ from prbench.synthetic.people.kinematics import (
     turn,
 )
 from prbench.synthetic.people.perform import Motion, synthesise
-from prbench.synthetic.people.person import Body, Person, draw_person
+from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person, draw_person
 from prbench.synthetic.people.plan import Plan, plan_recording
 from prbench.synthetic.people.reaching import Reacher, kept_away, solve_posture, take_hold
-from prbench.synthetic.people.walking import BasePose, place_feet, plan_segment, plan_steps, sample_base
+from prbench.synthetic.people.walking import (
+    BALL_TO_TOE,
+    HEEL_TO_BALL,
+    BasePose,
+    Feet,
+    Segment,
+    Steps,
+    place_feet,
+    plan_segment,
+    plan_steps,
+    sample_base,
+)
 from prbench.synthetic.people.world import Room, Source, assign, draw_room
 
 ADT = PRESETS["adt"]
@@ -73,6 +84,43 @@ def test_planted_feet_do_not_move_at_all() -> None:
     assert np.all(np.diff(feet.ball, axis=0)[still] == 0.0)
 
 
+def straight_walk(pace: float) -> tuple[Person, Segment, Steps, Feet, np.ndarray]:
+    """Walk five metres straight ahead, at a share of the usual speed."""
+    person = draw_person(ADT, "x", rng("walker"))
+    start = BasePose(0.0, 0.0, 0.0)
+    segment = plan_segment(person.habits, pace, start, BasePose(0.0, 5.0, 0.0), 1.0)
+    assert segment is not None
+    times = np.arange(0.0, segment.end + 1.0, 1 / 120)
+    steps = plan_steps(person, (segment,))
+    feet = place_feet(person, sample_base(start, (segment,), times), steps, times, seated=False)
+    return person, segment, steps, feet, times
+
+
+@pytest.mark.parametrize(("pace", "swing"), [(1.1, (0.37, 0.40)), (0.6, (0.33, 0.37))])
+def test_steps_follow_the_walk_ratio_and_slow_ones_swing_for_less_of_the_stride(pace: float, swing) -> None:
+    person, segment, steps, _, _ = straight_walk(pace)
+    middle = steps[2:-2]
+    cadence = np.array([60.0 / step.period for step in middle])
+    assert 60.0 * segment.speed / cadence**2 == pytest.approx(person.habits.walk_ratio, rel=0.2)
+    assert all(swing[0] <= step.swing / (2 * step.period) <= swing[1] for step in middle)
+
+
+def test_toes_pass_low_over_the_floor_and_feet_land_on_their_heels() -> None:
+    person, _, steps, feet, times = straight_walk(1.0)
+    stature = person.body.stature
+    tips, heels = (
+        feet.ball + turn(feet.yaw, feet.pitch, np.array([0.0, 0.0, length * stature]))
+        for length in (BALL_TO_TOE, -HEEL_TO_BALL)
+    )
+    for step in steps[2:-2]:
+        middle = slice(*np.searchsorted(times, [step.lift + 0.3 * step.swing, step.lift + 0.7 * step.swing]))
+        assert 0.012 < tips[middle, step.foot, 1].min() - BALL_HEIGHT < 0.026
+        assert feet.ball[middle, step.foot, 1].min() - BALL_HEIGHT > 0.030, "the ball is higher than the tip"
+        landing = int(np.searchsorted(times, step.landing))
+        assert heels[landing, step.foot, 1] == pytest.approx(BALL_HEIGHT, abs=0.003)
+        assert feet.ball[landing, step.foot, 1] > BALL_HEIGHT + 0.03
+
+
 def test_a_small_shift_needs_no_step() -> None:
     person = draw_person(ADT, "x", rng("walker"))
     assert plan_segment(person.habits, 0.9, BasePose(0.0, 0.0, 0.0), BasePose(0.02, 0.01, 0.1), 1.0) is None
@@ -109,6 +157,18 @@ def planned(number: int) -> Plan:
 def acted(plan: Plan) -> Motion:
     times = np.arange(0.0, plan.reaches[-1].event + 2.0, 1 / 60)
     return synthesise(plan, times, (rng("sway"), rng("gaze"), rng("head")))
+
+
+def test_longer_reaches_take_longer() -> None:
+    ways, durations = [], []
+    for number in range(4):
+        plan = planned(number)
+        wrists = acted(plan).joints[:, WRISTS]
+        for reach in plan.reaches:
+            first, last = np.searchsorted(np.arange(len(wrists)) / 60, [reach.reach_start, reach.contact])
+            ways.append(np.linalg.norm(wrists[last, reach.hand] - wrists[first, reach.hand]))
+            durations.append(reach.contact - reach.reach_start)
+    assert np.corrcoef(ways, durations)[0, 1] > 0.5
 
 
 def test_wrists_arrive_within_two_centimetres() -> None:
@@ -154,7 +214,7 @@ def test_a_person_turns_into_a_way_of_half_a_metre_and_back() -> None:
     assert path.heading[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("metres", "faces_on"), [(0.2, False), (0.5, True)])
+@pytest.mark.parametrize(("metres", "faces_on"), [(0.15, False), (0.5, True)])
 def test_a_single_step_and_a_person_who_faces_on_do_not_turn(metres: float, faces_on: bool) -> None:
     habits = draw_person(PRESETS["adt"], "S000", np.random.default_rng(1)).habits
     goal = BasePose(metres, 0.0, 0.0)
