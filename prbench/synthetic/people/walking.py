@@ -320,9 +320,9 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
         # The tip of the toe comes nearest to the floor half-way through the swing, the more the foot rolls.
         low = rolls * kinematics.bump((elapsed / step.swing - 0.32) / 0.36)
         clearance = lifts * (_FOOT_LIFT + low * (person.habits.toe_clearance - _FOOT_LIFT))
-        progress = kinematics.eased_trapezoid((elapsed / step.swing - 0.10) / 0.82, 0.34, 0.34)
+        progress = kinematics.eased_trapezoid((elapsed / step.swing - 0.09) / 0.81, 0.34, 0.34)
         up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
-        down = minimum_jerk((elapsed / step.swing - 0.70) / 0.30)
+        down = minimum_jerk((elapsed / step.swing - 0.77) / 0.23)
         _roll(pitch[:, step.foot], times, step, rolls)
         tiptoe = BALL_TO_TOE * person.body.stature * np.sin(np.maximum(pitch[first:last, step.foot], 0.0))
         ball[first:last, step.foot] = old_ball + progress[:, None] * (new_ball - old_ball)
