@@ -92,7 +92,7 @@ FAULTS: list[tuple[str, Fault, str, str, str]] = [
     ("adt", shift(gaze=5.0), "gaze", "clock", "--shift gaze=-5.0"),
     ("adt", shift(objects=0.7), "objects", "clock", "--shift objects=-0."),
     ("adt", shift(objects=-3.0), "objects", "clock", "--shift objects=3.0"),
-    ("adt", shift(head=1.3), "head", "clock", "--shift head=-1.3"),
+    ("adt", shift(head=1.3), "head", "clock", "--shift head=-1."),
     ("adt", shift(body=-0.3, hands=-0.3), "body", "clock", "--shift body=0."),
     ("adt", objects(lambda points: points * 1000), "objects", "unit", "--scale objects=0.001"),
     ("adt", objects(exchanged), "objects", "place", "No option"),
