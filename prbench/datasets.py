@@ -24,6 +24,8 @@ from prbench.shown import quoted
 ENTRY_POINT_GROUP = "prbench.readers"
 # Begins the name under which synthetic recordings of a dataset are kept; they have the layout of real ones.
 SYNTHETIC_PREFIX = "synthetic-"
+# The same of people of the second world, who are never learnt from.
+SECOND_WORLD_PREFIX = "synthetic-second-"
 # Follows every table of scores on such recordings.
 ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
 
@@ -51,9 +53,14 @@ def readable_datasets() -> tuple[str, ...]:
     return tuple(reader.name for reader in installed_readers() if not reader.problem)
 
 
+def imitated(dataset: str) -> str:
+    """Return the dataset that synthetic recordings imitate; any other name as it is."""
+    return dataset.removeprefix(SECOND_WORLD_PREFIX).removeprefix(SYNTHETIC_PREFIX)
+
+
 def layout_of(dataset: str) -> str:
     """Return the dataset whose reader and manifest serve a table: without ``synthetic-``, and ``own`` for ``own-…``."""
-    name = dataset.removeprefix(SYNTHETIC_PREFIX)
+    name = imitated(dataset)
     return OWN if name.startswith(OWN_PREFIX) else name
 
 

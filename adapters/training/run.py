@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import torch
 
+from prbench.datasets import SECOND_WORLD_PREFIX
 from prbench.engine import IN_PROCESS, Engine, close_engine
 from prbench.errors import MissingExtraError, TrainingStopped, UsageError
 from prbench.files.storage import sole_writer, write_json
@@ -32,7 +33,7 @@ from prbench_adapters.training.configuration import TrainingConfiguration, resol
 from prbench_adapters.training.dataset import configured_dataset
 from prbench_adapters.training.loop import Progress, faster_precision, fit, make_fabric, silent
 from prbench_adapters.training.state import Row, TrainingState
-from prbench_adapters.training.store import REFIT, Table, parts_of
+from prbench_adapters.training.store import REFIT, Table, open_table, parts_of
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 from prbench_adapters.training.weights import read_weights
 
@@ -270,6 +271,11 @@ def _data(request: TrainRequest, task: TrainingTask, configuration: TrainingConf
             raise UsageError(f"--fold: the tables of {task.name} have no folds of participants; {remedy}")
         return cast(Any, task).items(request.data, split, configuration.model, configuration.training.seed)
     folders = request.data
+    for folder in folders:
+        dataset = open_table(folder).info.dataset
+        if dataset.startswith(SECOND_WORLD_PREFIX):
+            problem = f"holds {dataset}, whose people are for tests of transfer and never learnt from"
+            raise UsageError(f"{folder} {problem}. Give tables that were made without --world second.")
     if request.fold is not None:
         parse_fold(request.fold)
         for folder in folders:

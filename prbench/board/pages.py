@@ -19,7 +19,7 @@ from prbench.board.folder import BoardFolder
 from prbench.board.submission import FILE_NAME, RUNS, Submission
 from prbench.board.tables import make_leaderboard
 from prbench.board.verifying import Verification, VerifiedDataset
-from prbench.datasets import SYNTHETIC_PREFIX
+from prbench.datasets import imitated
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest
 from prbench.harness.results import CheckedSummary, RunChecker
@@ -156,7 +156,7 @@ def _data_lines(board: BoardFolder) -> Iterator[str]:
 
 def cited_with(datasets: Iterable[str]) -> list[str]:
     """Return BibTeX entries of what every board of some datasets cites: the datasets, the study and prbench."""
-    sources = (name.removeprefix(SYNTHETIC_PREFIX) for name in datasets)
+    sources = map(imitated, datasets)
     entries = [load_manifest(name).citation for name in sources if name in dataset_names()]
     common = load_citations()
     entries += [common["study"], common["toolkit"].replace("VERSION", prbench.__version__)]

@@ -41,6 +41,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 
 _EXAMPLE = "prbench synthesize adt --count 4 --seed 1 --out synthetic/adt"
 _FORMER = {"--recordings": "--count", "--recording": "--count"}
+_WORLD = "Whose people: second moves by other laws, only for tests of transfer; with --table (default default)."
 _ESTIMATES = "Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others)."
 
 
@@ -52,11 +53,14 @@ _ESTIMATES = "Also write bodies as EgoAllo would estimate them (adt; hd-epic and
 @opt.count_option("Number of recordings to make (default: the size's number).")
 @opt.seed_option("of everything")
 @opt.choice_option("--size", ["tiny", "default", "large"], "How much (default tiny).", default="tiny")
+@opt.choice_option("--world", ["default", "second"], _WORLD, default="default")
 @opt.number_option("--events", "n_events", "Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
 @opt.flag("--egoallo", "estimates", _ESTIMATES)
 @opt.workers_option()
-def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, count: int | None, **given: Any) -> Answer:
+def synthesize(
+    *, layout: str, out: Path | None, table: bool, replace: bool, count: int | None, world: str, **given: Any
+) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
 
     LAYOUT is the native layout to write: any dataset of `prbench datasets`.
@@ -65,6 +69,8 @@ def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, cou
 
     if out is None:
         raise UsageError(f"--out DIR is needed: the folder of the {'table' if table else 'recordings'}.")
+    if world == "second" and (not table or given["size"] == "large"):
+        raise UsageError("--world second is a table of the usual size: add --table, and leave --size large out.")
     if table:
         if given.pop("estimates") or given.pop("bystander_objects") is not None:
             raise UsageError("--table writes no native files; leave --egoallo and --bystander-objects out.")
@@ -77,7 +83,7 @@ def synthesize(*, layout: str, out: Path | None, table: bool, replace: bool, cou
         usual = LARGE_RECORDINGS if large else planned_recordings(given["size"], None)
         events = Staging.n_events if given["n_events"] is None else given["n_events"]
         chosen: dict[str, Any] = {
-            "world": "large" if large else "default",
+            "world": "large" if large else world,
             "n_events": events,
             "options": BuildOptions(replace=replace),
         }

@@ -6,26 +6,24 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from prbench.curation import BuildOptions, BuildReport, build_from_sources
 from prbench.curation.options import NO_OPTIONS
+from prbench.datasets import SECOND_WORLD_PREFIX, SYNTHETIC_PREFIX
 from prbench.engine import IN_PROCESS, Engine
 from prbench.errors import UsageError
 from prbench.files.storage import text_digest
-from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import ObjectTrack, Recording
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, Split, assign
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import Performance, World
 
 # Called with finished recordings, all of them, and the one that was finished last.
 Progress = Callable[[int, int, str], None]
-World = Literal["default", "large"]
 # Recordings a preset of size ``large`` (docs/specification/synthetic-recordings.md#determinism-splits-sizes).
 LARGE_RECORDINGS = 480
 
@@ -46,6 +44,11 @@ class Staging:
     noise: float = 1.0
     provocations: tuple[tuple[str, float], ...] | None = None
 
+    @property
+    def dataset(self) -> str:
+        """Never the dataset's own name; that of the second world stands apart from what may be learnt from."""
+        return f"{SECOND_WORLD_PREFIX if self.world == 'second' else SYNTHETIC_PREFIX}{self.preset}"
+
     def perform(self, index: int) -> Performance:
         """Act out one recording."""
         shares = None if self.provocations is None else dict(self.provocations)
@@ -54,7 +57,7 @@ class Staging:
 
     def sense(self, performance: Performance) -> Recording:
         """Return what the sensors measure of a performance, and the furniture even where no sensor tracks any."""
-        recording = synthetic_recording(performance, noise=self.noise)
+        recording = replace(synthetic_recording(performance, noise=self.noise), dataset=self.dataset)
         if not all(track.movable for track in recording.objects):
             return recording
         start = recording.span[0]
@@ -102,8 +105,8 @@ class SyntheticSource:
 
     @property
     def dataset(self) -> str:
-        """Never the dataset's own name."""
-        return f"{SYNTHETIC_PREFIX}{self.staging.preset}"
+        """Name under which the recording is kept."""
+        return self.staging.dataset
 
     def input_digest(self) -> str:
         """Digest of everything that the recording is made from."""
@@ -135,13 +138,15 @@ def build_synthetic_table(
 ) -> BuildReport:
     """Build the dataset ``synthetic-<preset>``; recording i depends on seed, preset, world and i alone.
 
+    That of the second world is called ``synthetic-second-<preset>``.
+
     Args:
         preset: A preset with sensors (``adt``).
         recordings: How many, or the indices of chosen ones.
         seed: Seed of the whole dataset.
         out: Folder of the new dataset.
         engine: Processes or cluster that acts out and curates recordings.
-        world: How many people and rooms exist.
+        world: Which people and rooms exist (:func:`prbench.synthetic.people.perform`).
         n_events: Picks and puts a recording.
         noise: Multiplies every sensor error; 0 for ideal sensors.
         provocations: Share of the movements for each tag; None = 10 % together, {} = none.

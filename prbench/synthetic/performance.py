@@ -6,6 +6,7 @@ segment to world.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -13,6 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prbench.recording import Side
+
+World = Literal["default", "large", "second"]
+Progress = Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True)
@@ -88,12 +92,40 @@ class Habits:
 
 
 @dataclass(frozen=True)
+class Manner:
+    """Laws of movement that all people of a world share. Progress functions take shares of time to shares of way.
+
+    Attributes:
+        reach: Progress of a hand.
+        turn_head: Progress of a turn of the head.
+        head_turn: Seconds of a turn of the head of no size, and seconds a degree.
+        fastest_head: Mean speed of a turn of the head at most, degrees a second.
+        swing_foot: Progress of a swinging foot.
+        reach_time: Seconds of a reach of no length, and seconds a metre.
+        hump: How far the way of a hand bulges up and forward, metres.
+        bends: Crouch (share of the leg) and lean (radians) that are equally disliked.
+        even_steps: Whether steps are even in length and not in time.
+    """
+
+    reach: Progress
+    turn_head: Progress
+    head_turn: tuple[float, float]
+    fastest_head: float
+    swing_foot: Progress
+    reach_time: tuple[float, float]
+    hump: tuple[float, float]
+    bends: tuple[float, float]
+    even_steps: bool
+
+
+@dataclass(frozen=True)
 class Person:
     """A body and its habits."""
 
     participant_id: str
     body: Body
     habits: Habits
+    manner: Manner
 
     @property
     def neck_tilt_deg(self) -> float:
@@ -206,7 +238,7 @@ class Performance:
     """
 
     preset: str
-    world: Literal["default", "large"]
+    world: World
     seed: int
     index: int
     recording_id: str

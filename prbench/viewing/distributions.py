@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.datasets import SYNTHETIC_PREFIX
+from prbench.datasets import SYNTHETIC_PREFIX, imitated
 from prbench.protocol.published import load_table_one
 from prbench.sequences.table import TableStatistics
 from prbench.shown import figure_text
@@ -39,7 +39,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path) -> str:
     panels = figure.subplots(2, 3).ravel()
     # The published band belongs to one dataset; behind several it would be read as that of all.
     only = statistics[0] if len(statistics) == 1 else None
-    published = None if only is None else load_table_one().get(only.dataset.removeprefix("synthetic-"))
+    published = None if only is None else load_table_one().get(imitated(only.dataset))
     for number, quantity, title in (
         (0, "goal_distance", "a  goal distance (m)"),
         (1, "goal_elevation_deg", "b  goal elevation (deg)"),

@@ -64,6 +64,13 @@ def trained(data, tmp_path_factory):
     return out, printed.getvalue(), said.getvalue()
 
 
+def test_the_second_world_is_never_learnt_from(tmp_path, capsys):
+    words = ["synthesize", "adt", "--table", "--world", "second", "--count", "1", "--events", "2"]
+    assert main([*words, "--out", str(tmp_path / "second")]) == 0
+    message = "holds synthetic-second-adt, whose people are for tests of transfer and never learnt from"
+    refused(command(tmp_path / "second", tmp_path / "out"), capsys, code=2, message=message)
+
+
 def test_a_training_prints_lines_and_leaves_weights_a_card_and_a_log(trained, data):
     out, printed, said = trained
     card = read_json(out / "weights.json")

@@ -43,6 +43,9 @@ def test_a_table_is_written_without_native_files_and_reported(tmp_path, capsys) 
         (["--recordings", "1", "--out", "x"], "No such option '--recordings'. Did you mean '--count'?"),
         (["--size", "large", "--out", "x"], "--table"),
         (["--table", "--egoallo", "--out", "x"], "--egoallo"),
+        (["--world", "second", "--out", "x"], "add --table"),
+        (["--world", "second", "--table", "--size", "large", "--out", "x"], "leave --size large out"),
+        (["--world", "third", "--out", "x"], "'third' is not one of 'default', 'second'"),
     ],
 )
 def test_mistakes_are_refused_and_the_way_out_named(words, message, tmp_path, capsys, monkeypatch) -> None:

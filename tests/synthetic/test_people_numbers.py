@@ -13,6 +13,7 @@ from prbench.harness.synthetic_table import Staging
 from prbench.metrics import MetricValues, MotionBatch, score
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.synthetic.people import PRESETS, perform
+from prbench.synthetic.performance import World
 from tests.metrics.motions import targets
 from tests.synthetic.true_clips import FPS, clips_of
 
@@ -54,12 +55,13 @@ def test_bodies_keep_their_bones_and_the_protocol(preset: str) -> None:
 
 
 @pytest.mark.slow
-def test_of_recorded_people_of_fresh_seeds_99_percent_are_plausible() -> None:
+@pytest.mark.parametrize(("world", "recordings"), [("default", 6), ("second", 2)])
+def test_of_recorded_people_of_fresh_seeds_99_percent_are_plausible(world: World, recordings: int) -> None:
     kept: dict[str, list[float]] = {}
     flags = []
     for seed in map(int, os.environ.get("PRBENCH_PEOPLE_SEEDS", "909").split()):
         for preset in PRESETS:
-            found = measured(recorded(Staging(preset, seed), 6))["plausible"]
+            found = measured(recorded(Staging(preset, seed, world), recordings))["plausible"]
             kept.setdefault(preset, []).extend(found.value)
             flags += [f"{preset} {seed}: {flag}" for flag in found.flag if flag]
     assert np.mean(np.concatenate(list(kept.values()))) >= 0.99, flags

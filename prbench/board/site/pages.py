@@ -14,6 +14,7 @@ from prbench.board.export import board_tables, part_title
 from prbench.board.site.motions import json
 from prbench.board.site.numbers import SiteRun, failures_of, prime_timing, spread_of
 from prbench.board.tables import DatasetTable, Leaderboard, hides
+from prbench.datasets import imitated
 from prbench.metrics import STUDY_METRICS
 from prbench.protocol.published import load_published, published_table
 from prbench.sequences.table import SequenceTable
@@ -116,7 +117,7 @@ def _page(about: About, title: str, body: str, script: str, *, root: str = "", d
 
 def _published(tables: Iterable[DatasetTable]) -> list[Table]:
     """Lay out what Table 2 of the study says of the datasets of a board, synthetic copies of them among these."""
-    of_study = (table.dataset.removeprefix("synthetic-") for table in tables if table.benchmark.about.default)
+    of_study = (imitated(table.dataset) for table in tables if table.benchmark.about.default)
     about = published_table("2")
     columns = [Column(key=key, title=key.capitalize(), text=True) for key in ("method", "weights", "condition")]
     columns += [metric_column(info) for info in STUDY_METRICS]

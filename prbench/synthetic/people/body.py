@@ -14,6 +14,7 @@ from prbench.synthetic.people.person import Body, Trunk, pose_trunk, standing_pe
 from prbench.synthetic.people.plan import DOOR, Plan, Reach
 from prbench.synthetic.people.reaching import Posture, pelvis_setback
 from prbench.synthetic.people.walking import BasePath, Feet, Steps, lowered_pelvis
+from prbench.synthetic.performance import Manner
 
 Signal = Float[np.ndarray, " n"]  # one number a time
 Points = Float[np.ndarray, "n 3"]  # metres
@@ -54,6 +55,7 @@ def move_head(
         rng: Generator of the tremor.
     """
     habits = plan.person.habits
+    manner = plan.person.manner
     frame_time = float(times[1] - times[0])
     # Each command is one head movement: towards a point until the fixation ends, then frozen relative to the heading.
     # It holds its first frame, start and duration, and the target (yaw against the heading, pitch) of the frames until
@@ -63,7 +65,7 @@ def move_head(
     def obey(channel: np.ndarray, first: int, start: float, duration: float, target: np.ndarray) -> None:
         until = min(max(int(np.searchsorted(times, start + duration)), first + len(target)), times.size)
         wanted = target[np.minimum(np.arange(until - first), len(target) - 1)]
-        progress = kinematics.minimum_jerk((times[first:until] - start) / duration)[:, None]
+        progress = manner.turn_head(np.clip((times[first:until] - start) / duration, 0.0, 1.0))[:, None]
         moved = channel[first:until] * (1.0 - progress) + progress * wanted
         channel[first:until] = np.where(progress < 1.0, moved, wanted)
         channel[until:] = target[-1]
@@ -99,9 +101,10 @@ def move_head(
         if commands and start - commands[-1][1] < 0.7:
             amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1][3][0]))))
         degrees = np.rad2deg(amplitude)
+        least, a_degree = manner.head_turn
         # A head that turns together with the body takes longer, up to 1.6 times.
         slower = 1.0 + min(float(np.rad2deg(turn_rate[first])) / 250.0, 0.6)
-        commands.append((first, start, max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower, target))
+        commands.append((first, start, max(least + a_degree * degrees, degrees / manner.fastest_head) * slower, target))
         obey(channel, *commands[-1])
     for _ in range(6):
         fast = times[np.abs(np.gradient(heading + channel[:, 0], times)) > _FASTEST_HEAD]
@@ -286,10 +289,6 @@ _HANGING = 0.96
 _OUTSIDE_SHOULDER = 0.032  # of the stature
 _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
-# Hands that grasp are fastest before the middle of their way and slow from three quarters of it on (Jeannerod 1984).
-_REACH_SKEW = 0.25
-_HUMP_UP = 0.06
-_HUMP_FORWARD = 0.09
 _FULL_HUMP = 0.5  # metres of way
 
 # Seconds that a nudged object slides.
@@ -318,6 +317,7 @@ class Arms:
 
 def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Sides:
     """Return where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
+    manner = plan.person.manner
     rest = [_resting_wrist(plan, trunk, sway, hand) for hand in (0, 1)]
     carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
     wrists = [waiting.copy() for waiting in rest]
@@ -334,7 +334,7 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Side
             handed = reach.handed_over + MEETING_TIME + HANDING_TIME
             kinematics.blend(wrists[other], times, handed, _BACK_WITHIN, rest[other])
             kinematics.blend(wrists[hand], times, handed, 0.5, carry[hand])
-        _reach(wrists[hand], reach, np.zeros(3), times)
+        _reach(manner, wrists[hand], reach, np.zeros(3), times)
         if reach.carries:
             kinematics.blend(wrists[hand], times, reach.event, _CARRY_AFTER, carry[hand])
         else:
@@ -351,19 +351,20 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Side
                 joined = carry[hand] + kinematics.turn(trunk.yaws[3], 0.0, beside)
                 kinematics.blend(wrists[other], times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
             else:
-                _reach(wrists[other], reach, kinematics.turn(reach.base.heading, 0.0, beside), times)
+                _reach(manner, wrists[other], reach, kinematics.turn(reach.base.heading, 0.0, beside), times)
                 kinematics.blend(wrists[other], times, reach.event + reach.dwell, _BACK_WITHIN, rest[other])
     return np.stack(wrists, axis=1)
 
 
-def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
+def _reach(manner: Manner, wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
     """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
     target = reach.grasp.wrist + beside
     # Short reaches bulge less.
     way = float(np.linalg.norm(target - wrist[min(int(np.searchsorted(times, reach.reach_start)), times.size - 1)]))
-    kinematics.blend(wrist, times, reach.reach_start, duration, target, skew=_REACH_SKEW)
-    hump = min(1.0, way / _FULL_HUMP) * (_HUMP_UP * kinematics.UP + _HUMP_FORWARD * reach.base.forward)
+    kinematics.blend(wrist, times, reach.reach_start, duration, target, shape=manner.reach)
+    up, forward = manner.hump
+    hump = min(1.0, way / _FULL_HUMP) * (up * kinematics.UP + forward * reach.base.forward)
     kinematics.add_bump(wrist, times, reach.reach_start, duration, hump)
 
 

@@ -6,6 +6,8 @@ turns left), pitch > 0 looks or leans down, and R = Ry(yaw) Rx(pitch). Everythin
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
@@ -45,7 +47,13 @@ def eased_trapezoid(x: np.ndarray, up: float, down: float) -> np.ndarray:
 
 
 def blend(
-    channel: Channel, times: Signal, start: float, duration: float, target: np.ndarray | float, *, skew: float = 0.0
+    channel: Channel,
+    times: Signal,
+    start: float,
+    duration: float,
+    target: np.ndarray | float,
+    *,
+    shape: Callable[[np.ndarray], np.ndarray] = minimum_jerk,
 ) -> None:
     """Make a channel take up a target from ``start`` on, within ``duration``, in place.
 
@@ -55,13 +63,12 @@ def blend(
         start: First instant of the blend.
         duration: Seconds until the target is reached.
         target: A constant (broadcast over frames), or one value a frame of the whole recording.
-        skew: A number from 0 to 1; above 0 the fastest moment comes before the middle and the end is approached slowly.
+        shape: Takes shares of the duration to shares of the way.
     """
     first, last = np.searchsorted(times, [start, start + duration])
     target = np.asarray(target, dtype=np.float64)
     moving = target.ndim == channel.ndim and target.shape[0] == times.shape[0]
-    elapsed = (times[first:last] - start) / duration
-    progress = minimum_jerk(elapsed * (1.0 + skew * (1.0 - elapsed)))
+    progress = shape((times[first:last] - start) / duration)
     progress = progress.reshape(-1, *([1] * (channel.ndim - 1)))
     channel[first:last] += progress * ((target[first:last] if moving else target) - channel[first:last])
     channel[last:] = target[last:] if moving else target

@@ -18,13 +18,13 @@ from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.synthetic.people import body as bodies
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze, repaired
 from prbench.synthetic.people.kinematics import frame_of_bone, quaternion, rotation_quaternion, turn
-from prbench.synthetic.people.person import PRESETS, Person, Trunk, draw_person
+from prbench.synthetic.people.person import PRESETS, Person, Trunk, draw_person, of_second_world
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
 from prbench.synthetic.people.reaching import Reacher, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
 from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
-from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
-from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
+from prbench.synthetic.people.world import Room, Source, assign, draw_room, seated
+from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance, World
 
 _WRIST_TOLERANCE = 0.008  # metres
 _CORRECTIONS = 2  # rounds; what is left decides whether the recording is planned anew
@@ -210,7 +210,8 @@ def perform(
         preset: ``hd-epic``, ``mogaze``, ``hot3d``, ``adt`` or ``gimo``.
         seed: Seed of the whole synthetic dataset.
         index: Number of the recording in it.
-        world: How many people and rooms exist: 24 and 12, or 400 and 200.
+        world: How many people and rooms exist: 24 and 12, or 400 and 200 (``large``); ``second`` has 24 people who move
+        by other laws, for tests of transfer alone.
         n_events: Picks and puts.
         rate: Frames a second.
         provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
@@ -225,7 +226,7 @@ def perform(
     constants = PRESETS[preset]
     source = Source(seed, preset, world)
     room_number, person_number, split = assign(source, index)
-    person = draw_person(constants, f"S{person_number:03d}", source.generator("person", person_number, "body"))
+    person = _casting(source, f"S{person_number:03d}", "person", person_number, "body")
     room_rng = source.generator("room", room_number, "plan")
     room = draw_room(constants, f"R{room_number:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
@@ -259,6 +260,13 @@ def perform(
     body = (motion.joints, motion.rotations, motion.finger_bases, motion.head_rotation, motion.eye)
     everything = (*objects, *_furniture(plan, source, room_number))
     return Performance(*about, times, *body, gaze, motion.planted, everything, events, tuple(fixations), others)
+
+
+def _casting(source: Source, participant_id: str, kind: str, number: int, purpose: str) -> Person:
+    """Draw a person of the source's preset and world."""
+    rng = source.generator(kind, number, purpose)
+    person = draw_person(PRESETS[source.preset], participant_id, rng)
+    return of_second_world(person, rng) if source.world == "second" else person
 
 
 def _look(
@@ -328,7 +336,7 @@ def _bystander_acts(
         The other person, what they planned, and the objects that they moved; None if the recording is too short for it.
     """
     preset = wearer.preset
-    person = draw_person(preset, f"B{index:04d}", source.generator("recording", index, "bystander-body"))
+    person = _casting(source, f"B{index:04d}", "recording", index, "bystander-body")
     # Something that stands where the wearer's object was or will be.
     taken = [replace(wearer.items[reach.item], position=reach.centre, rides_on=None) for reach in wearer.reaches]
     room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))

@@ -6,16 +6,18 @@ Source: docs/specification/synthetic-recordings.md#person.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
+from scipy.special import betainc
 
 from prbench.protocol.manifests import read_toml
-from prbench.synthetic.people.kinematics import Angle, turn
-from prbench.synthetic.performance import Body, Habits, Person
+from prbench.synthetic.people.kinematics import Angle, eased_trapezoid, minimum_jerk, turn
+from prbench.synthetic.performance import Body, Habits, Manner, Person, Progress
 
 
 class SurfaceKind(msgspec.Struct, frozen=True, array_like=True):
@@ -135,7 +137,75 @@ def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -
         right_handed=float(rng.random() < 0.9),
         toe_clearance=between(0.014, 0.024),
     )
-    return Person(participant_id, body, habits)
+    return Person(participant_id, body, habits, _USUAL)
+
+
+def _reach_of_grasping(x: np.ndarray) -> np.ndarray:
+    """Hands that grasp are fastest before the middle of their way and slow from three quarters of it on.
+
+    Source: Jeannerod 1984.
+    """
+    return minimum_jerk(x * (1.0 + 0.25 * (1.0 - x)))
+
+
+def _swing_in_middle(x: np.ndarray) -> np.ndarray:
+    return eased_trapezoid((x - 0.09) / 0.81, 0.34, 0.34)
+
+
+_USUAL = Manner(
+    reach=_reach_of_grasping,
+    turn_head=minimum_jerk,
+    head_turn=(0.28, 0.0048),
+    fastest_head=117.0,
+    swing_foot=_swing_in_middle,
+    reach_time=(0.50, 0.80),
+    hump=(0.06, 0.09),
+    bends=(0.22, 0.55),
+    even_steps=False,
+)
+
+
+def _beta(first: float, second: float) -> Progress:
+    """Return the progress of a speed x^(first - 1) (1 - x)^(second - 1); 3 and 3 are minimum jerk."""
+    return partial(betainc, first, second)
+
+
+# The second world, only for tests of transfer (docs/specification/synthetic-recordings.md#a-second-world).
+_SECOND = Manner(
+    reach=_beta(4.0, 4.4),
+    turn_head=_beta(3.0, 4.5),
+    head_turn=(0.40, 0.0030),
+    fastest_head=100.0,
+    swing_foot=_beta(3.5, 3.0),
+    reach_time=(0.70, 0.45),
+    hump=(0.03, 0.05),
+    bends=(0.24, 0.42),
+    even_steps=True,
+)
+
+
+def of_second_world(person: Person, rng: np.random.Generator) -> Person:
+    """Give a person other proportions, habits and laws of movement than those of people who are learnt from.
+
+    Segments are those of Drillis and Contini (1966, in Winter 2009, figure 4.1) as fractions of stature.
+    """
+    stature = person.body.stature
+    leg, arm = 1.0 + 0.03 * np.clip(rng.standard_normal(2), -2.0, 2.0)
+    lengths = {"thigh": 0.245 * leg, "shin": 0.246 * leg, "upper_arm": 0.186 * arm, "forearm": 0.146 * arm}
+    body = replace(person.body, **{name: float(share) * stature for name, share in lengths.items()})
+    habits = replace(
+        person.habits,
+        walk_speed=float(rng.uniform(0.85, 1.25)),
+        half_stance=float(rng.uniform(0.06, 0.10)),
+        goal_gain=float(rng.uniform(0.75, 0.92)),
+        head_lag=float(rng.uniform(0.03, 0.12)),
+        chest_share=float(rng.uniform(0.30, 0.50)),
+        pelvis_share=float(rng.uniform(0.20, 0.32)),
+        trunk_time=float(rng.uniform(0.18, 0.28)),
+        turn_rate=float(np.deg2rad(rng.uniform(50.0, 75.0))),
+        toe_clearance=float(rng.uniform(0.02, 0.04)),
+    )
+    return replace(person, body=body, habits=habits, manner=_SECOND)
 
 
 def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body:

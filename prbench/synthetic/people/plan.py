@@ -413,7 +413,8 @@ class _Planner:
         arrival = motor_start if stand.segment is None else stand.segment.arrival
         reach_start = max(motor_start, arrival - float(self.rng.uniform(0.15, 0.45)))
         # Peak speeds grow with the way of the hand, and so do, less, the times that people take (Jeannerod 1984).
-        usual = 0.50 + 0.80 * self._way_of_hand(action, stand, hand)
+        least, a_metre = self.person.manner.reach_time
+        usual = least + a_metre * self._way_of_hand(action, stand, hand)
         varied = (0.85 + 0.30 * self.rng.random()) * self.person.habits.reach_time
         length = varied * usual + self.rng.uniform(0.03, 0.12)
         from_hover = tag == "too_near" and action == "pick"

@@ -120,9 +120,10 @@ def solve_posture(who: Reacher, wrist: Vector, offset: np.ndarray | None = None)
     if offset is not None:
         shoulders = shoulders + offset
     extension = np.linalg.norm(wrist - shoulders, axis=-1) / who.person.body.arm
+    disliked_crouch, disliked_lean = who.person.manner.bends
     cost = (
-        (crouch / 0.22) ** 2
-        + (lean / 0.55) ** 2
+        (crouch / disliked_crouch) ** 2
+        + (lean / disliked_lean) ** 2
         + 40.0 * np.maximum(0.0, extension - 0.88)
         + 4.0 * np.maximum(0.0, 0.5 - extension) ** 2
     )

@@ -254,6 +254,9 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
     """Return the steps that carry a person along the segments of the base."""
     steps = []
     for segment in segments:
+        if person.manner.even_steps:
+            steps += _even_steps(person, segment)
+            continue
         walking = segment.kind == "walk"
         # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is
         # cadence².
@@ -284,6 +287,26 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
             period = float(periods[number])
             steps.append(Step((first + number) % 2, float(lifts[number]), period, swing * period, walking))
     return tuple(steps)
+
+
+def _even_steps(person: Person, segment: Segment) -> list[Step]:
+    """Return steps of even length: a leg swings like a pendulum by an angle that grows with the root of the speed."""
+    times = np.linspace(segment.begin, segment.end, 201)
+    base = sample_base(segment.start, (segment,), times)
+    length = 0.72 * person.body.leg * float(np.sqrt(segment.speed / 1.2))
+    turned = np.abs(np.gradient(base.heading, times))
+    # Nobody pauses in mid-stride, and nobody hurries: there are 1 to 2.1 steps a second.
+    rate = np.clip(np.maximum(base.speed / length, turned / np.deg2rad(60.0)), 1.0, 2.1)
+    counts = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(times))])
+    n_steps = max(int(np.ceil(counts[-1] + 0.5)), 2)
+    lifts = np.interp(np.arange(n_steps) / (n_steps - 0.62) * counts[-1], counts, times)
+    periods = np.diff(lifts, append=lifts[-1] + (segment.end - lifts[-1]) / 0.38)
+    way = segment.goal.point - segment.start.point
+    first = int(way @ segment.start.left + 0.3 * (segment.goal.heading - segment.start.heading) < 0.0)
+    return [
+        Step((first + number) % 2, float(lift), float(period), 0.7 * float(period), segment.kind == "walk")
+        for number, (lift, period) in enumerate(zip(lifts, periods, strict=True))
+    ]
 
 
 def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, seated: bool) -> Feet:
@@ -320,7 +343,7 @@ def place_feet(person: Person, base: BasePath, steps: Steps, times: Signal, *, s
         # The tip of the toe comes nearest to the floor half-way through the swing, the more the foot rolls.
         low = rolls * kinematics.bump((elapsed / step.swing - 0.32) / 0.36)
         clearance = lifts * (_FOOT_LIFT + low * (person.habits.toe_clearance - _FOOT_LIFT))
-        progress = kinematics.eased_trapezoid((elapsed / step.swing - 0.09) / 0.81, 0.34, 0.34)
+        progress = person.manner.swing_foot(np.clip(elapsed / step.swing, 0.0, 1.0))
         up = minimum_jerk((elapsed + _ROLL_BEFORE_LIFT) / 0.16)
         down = minimum_jerk((elapsed / step.swing - 0.77) / 0.23)
         _roll(pitch[:, step.foot], times, step, rolls)

@@ -16,6 +16,7 @@ from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.kinematics import UP
 from prbench.synthetic.people.person import ObjectKind, Preset, SurfaceKind
+from prbench.synthetic.performance import World
 
 Vector = Float[np.ndarray, "3"]  # metres
 
@@ -189,11 +190,10 @@ def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, .
 _TEST_SHARE = 0.30
 _VALIDATION_SHARE = 0.10
 
-World = Literal["default", "large"]
 Split = Literal["train", "validation", "test"]
 
-_PEOPLE = {"default": 24, "large": 400}
-_ROOMS = {"default": 12, "large": 200}
+_PEOPLE = {"default": 24, "large": 400, "second": 24}
+_ROOMS = {"default": 12, "large": 200, "second": 12}
 
 
 @dataclass(frozen=True)

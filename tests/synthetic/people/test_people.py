@@ -18,7 +18,7 @@ from prbench.synthetic.people.kinematics import (
     turn,
 )
 from prbench.synthetic.people.perform import Motion, synthesise
-from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person, draw_person
+from prbench.synthetic.people.person import BALL_HEIGHT, Body, Person, draw_person, of_second_world
 from prbench.synthetic.people.plan import Plan, plan_recording
 from prbench.synthetic.people.reaching import Reacher, kept_away, solve_posture, take_hold
 from prbench.synthetic.people.walking import (
@@ -119,6 +119,19 @@ def test_toes_pass_low_over_the_floor_and_feet_land_on_their_heels() -> None:
         landing = int(np.searchsorted(times, step.landing))
         assert heels[landing, step.foot, 1] == pytest.approx(BALL_HEIGHT, abs=0.003)
         assert feet.ball[landing, step.foot, 1] > BALL_HEIGHT + 0.03
+
+
+def test_people_of_the_second_world_step_evenly_and_reach_by_another_law() -> None:
+    person, segment, usual, _, _ = straight_walk(1.0)
+    other = of_second_world(person, rng("second"))
+    steps = plan_steps(other, (segment,))
+    assert len(steps) > len(usual), "shorter steps"
+    middle = np.median([step.period for step in steps])
+    assert steps[0].period > 1.3 * middle, "steps are even in length and not in time"
+    assert usual[0].period < 1.1 * np.median([step.period for step in usual])
+    assert other.body.upper_arm > 1.1 * person.body.upper_arm
+    assert other.manner.reach(np.array([0.0, 1.0])) == pytest.approx([0.0, 1.0])
+    assert other.manner.reach(np.array([0.25]))[0] < 0.6 * person.manner.reach(np.array([0.25]))[0]
 
 
 def test_a_small_shift_needs_no_step() -> None:
