@@ -99,7 +99,6 @@ class Manner:
         reach: Progress of a hand.
         turn_head: Progress of a turn of the head.
         head_turn: Seconds of a turn of the head of no size, and seconds a degree.
-        fastest_head: Mean speed of a turn of the head at most, degrees a second.
         swing_foot: Progress of a swinging foot.
         reach_time: Seconds of a reach of no length, and seconds a metre.
         hump: How far the way of a hand bulges up and forward, metres.
@@ -110,7 +109,6 @@ class Manner:
     reach: Progress
     turn_head: Progress
     head_turn: tuple[float, float]
-    fastest_head: float
     swing_foot: Progress
     reach_time: tuple[float, float]
     hump: tuple[float, float]

@@ -29,6 +29,7 @@ _EYE_YAW = np.deg2rad(45.0)
 _EYE_UP = np.deg2rad(-32.0)
 _EYE_DOWN = np.deg2rad(40.0)
 _LONGEST_SACCADE = 0.3  # s
+_HEAD_SPREAD = 0.15  # log-sd of the time that a turn of the head takes
 _SHORT_FILL = 0.35  # s; the head does not follow shorter looks
 _SHORT_GOAL_LOOK = 0.5
 
@@ -52,7 +53,7 @@ def move_head(
         heading: Heading of the base, radians, unwrapped.
         eye: About where the eyes are.
         times: Frame times, seconds.
-        rng: Generator of the tremor.
+        rng: Generator of tremor and of the times that turns take.
     """
     habits = plan.person.habits
     manner = plan.person.manner
@@ -102,9 +103,10 @@ def move_head(
             amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1][3][0]))))
         degrees = np.rad2deg(amplitude)
         least, a_degree = manner.head_turn
+        varied = float(np.exp(_HEAD_SPREAD * rng.standard_normal()))
         # A head that turns together with the body takes longer, up to 1.6 times.
         slower = 1.0 + min(float(np.rad2deg(turn_rate[first])) / 250.0, 0.6)
-        commands.append((first, start, max(least + a_degree * degrees, degrees / manner.fastest_head) * slower, target))
+        commands.append((first, start, (least + a_degree * degrees) * slower * varied, target))
         obey(channel, *commands[-1])
     for _ in range(6):
         fast = times[np.abs(np.gradient(heading + channel[:, 0], times)) > _FASTEST_HEAD]
@@ -223,7 +225,7 @@ def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
         begin = reach.reach_start - 0.1
         end = reach.event - 0.05
         bent = np.array([posture.lean, posture.crouch, posture.chest_turn])
-        kinematics.blend(channels, times, begin, end - begin, bent)
+        kinematics.blend(channels, times, begin, end - begin, bent, shape=plan.person.manner.reach)
         if np.isfinite(reach.dwell):
             release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
             kinematics.blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))

@@ -174,7 +174,7 @@ class _Scheduler:
     def goal_looks(self, reach: Reach, prime: float, kind: str) -> tuple[list[Look], list[Look], list[Look]]:
         """Draw prime, guide, and returns in between, in the order in which they claim time."""
         rng = self.rng
-        guide = max(prime, reach.reach_start - float(rng.uniform(0.0, 0.45)))
+        guide = max(prime, reach.reach_start - float(rng.uniform(0.2, 0.9)))
         end = prime + float(np.clip(self.plan.preset.prime_look * np.exp(0.5 * rng.standard_normal()), 0.25, 2.0))
         if guide - end <= 0.25:
             end = max(end, guide)

@@ -133,7 +133,7 @@ def draw_person(preset: Preset, participant_id: str, rng: np.random.Generator) -
         pelvis_share=between(0.10, 0.22),
         trunk_time=between(0.10, 0.18),
         reach_time=between(0.85, 1.15),
-        turn_rate=degrees(62.0, 90.0),
+        turn_rate=degrees(52.0, 76.0),
         right_handed=float(rng.random() < 0.9),
         toe_clearance=between(0.014, 0.024),
     )
@@ -155,8 +155,7 @@ def _swing_in_middle(x: np.ndarray) -> np.ndarray:
 _USUAL = Manner(
     reach=_reach_of_grasping,
     turn_head=minimum_jerk,
-    head_turn=(0.28, 0.0048),
-    fastest_head=117.0,
+    head_turn=(0.25, 0.0120),
     swing_foot=_swing_in_middle,
     reach_time=(0.50, 0.80),
     hump=(0.06, 0.09),
@@ -174,8 +173,7 @@ def _beta(first: float, second: float) -> Progress:
 _SECOND = Manner(
     reach=_beta(4.0, 4.4),
     turn_head=_beta(3.0, 4.5),
-    head_turn=(0.40, 0.0030),
-    fastest_head=100.0,
+    head_turn=(0.40, 0.0085),
     swing_foot=_beta(3.5, 3.0),
     reach_time=(0.70, 0.45),
     hump=(0.03, 0.05),

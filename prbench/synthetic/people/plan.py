@@ -411,7 +411,7 @@ class _Planner:
         """Draw the timing of a movement: which hand does what to which object from where, and from when on."""
         tag = self._tag_of(action)
         arrival = motor_start if stand.segment is None else stand.segment.arrival
-        reach_start = max(motor_start, arrival - float(self.rng.uniform(0.15, 0.45)))
+        reach_start = max(motor_start, arrival - float(self.rng.uniform(0.05, 0.30)))
         # Peak speeds grow with the way of the hand, and so do, less, the times that people take (Jeannerod 1984).
         least, a_metre = self.person.manner.reach_time
         usual = least + a_metre * self._way_of_hand(action, stand, hand)

@@ -110,8 +110,8 @@ def plan_segment(
         The segment, with ``goal`` unwrapped so that the person turns the short way; None if the feet may stay.
     """
     distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
-    # Short ways are walked more slowly: the speed nears the usual one over about three quarters of a metre.
-    speed = habits.walk_speed * pace * (1.0 - np.exp(-(distance + 0.15) / 0.75))
+    # Short ways are walked more slowly: the speed nears the usual one over about a metre.
+    speed = habits.walk_speed * pace * (1.0 - np.exp(-distance / 1.3))
     if distance > _WALK_FROM:
         turn_in = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading))
         course = start.heading + turn_in
@@ -265,7 +265,7 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
         if not walking:
             turn_in = segment.total_turn
         # Turns take more and shorter steps than the way between them: a foot must not be left behind the pelvis.
-        turning = [max(cadence, 78.0 + 32.0 * min(1.0, turn / 1.2)) for turn in (turn_in, turn_out)]
+        turning = [max(cadence, 78.0 + 18.0 * min(1.0, turn / 1.2)) for turn in (turn_in, turn_out)]
         borders = np.array(
             [segment.begin, segment.begin + segment.first_turn, segment.arrival - 0.85 * segment.last_turn, segment.end]
         )
