@@ -73,7 +73,7 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         "body_movement": (-1 / 3, 1 / 3),  # ours: presets were fitted to Prime and Reach, Table 1
         "reach_peak": (0.30, 0.50),  # people: Jeannerod 1984; at most .5, Flash & Hogan 1985
         "off_the_way": (0.0, 0.15),  # ours: Handford & Srinivasan 2014 say a step or two, without a number
-        "gaze_to_head": (10.0, 25.0),  # people: Ergonomics 2010 (head share .69), of a shift of 35 degrees
+        "gaze_to_head": (10.0, 30.0),  # people: Ergonomics 2010 (head share .69), of a shift of 35 degrees, .6 s long
         "head_share": (0.50, 0.85),  # people: Ergonomics 2010, .69
     }
 )

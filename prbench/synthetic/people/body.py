@@ -291,7 +291,7 @@ _HANGING = 0.96
 _OUTSIDE_SHOULDER = 0.032  # of the stature
 _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
-_FULL_HUMP = 0.5  # metres of way
+_FULL_HUMP = 0.7  # metres of way
 
 # Seconds that a nudged object slides.
 _SLIDE_TIME = 0.15

@@ -155,7 +155,7 @@ def _swing_in_middle(x: np.ndarray) -> np.ndarray:
 _USUAL = Manner(
     reach=_reach_of_grasping,
     turn_head=minimum_jerk,
-    head_turn=(0.25, 0.0120),
+    head_turn=(0.23, 0.0112),
     swing_foot=_swing_in_middle,
     reach_time=(0.50, 0.80),
     hump=(0.06, 0.09),

@@ -111,7 +111,7 @@ def plan_segment(
     """
     distance = float(np.hypot(goal.x - start.x, goal.z - start.z))
     # Short ways are walked more slowly: the speed nears the usual one over about a metre.
-    speed = habits.walk_speed * pace * (1.0 - np.exp(-distance / 1.3))
+    speed = habits.walk_speed * pace * (1.0 - np.exp(-distance / 1.45))
     if distance > _WALK_FROM:
         turn_in = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading))
         course = start.heading + turn_in
@@ -200,6 +200,7 @@ _TOES_UP = np.deg2rad(-16.0)
 BALL_TO_TOE = 0.033  # of the stature; the foot of a swing rolls off the tip of its toe
 HEEL_TO_BALL = 0.098  # of the stature; the foot lands on its heel
 _FOOT_LIFT = 0.044  # metres that the whole foot is lifted
+_SLOW_WALK = 1.03  # m/s
 _FLAT_AFTER = 0.10  # seconds from the heel's landing to the ball's
 _SEATED_FEET_AHEAD = 0.22  # of the stature
 
@@ -259,13 +260,14 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
             continue
         walking = segment.kind == "walk"
         # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is
-        # cadence².
-        cadence = np.clip(np.sqrt(60.0 * segment.speed / person.habits.walk_ratio), 70.0, 128.0)
+        # cadence². Below 62 metres a minute the ratio rises (Murakami & Otaka 2017).
+        slower = max(1.0, _SLOW_WALK / segment.speed)
+        cadence = np.clip(np.sqrt(60.0 * segment.speed / (person.habits.walk_ratio * slower**0.5)), 60.0, 128.0)
         turn_in, turn_out = (abs(segment.course - segment.start.heading), abs(segment.goal.heading - segment.course))
         if not walking:
             turn_in = segment.total_turn
         # Turns take more and shorter steps than the way between them: a foot must not be left behind the pelvis.
-        turning = [max(cadence, 78.0 + 18.0 * min(1.0, turn / 1.2)) for turn in (turn_in, turn_out)]
+        turning = [max(cadence, 72.0 + 22.0 * min(1.0, turn / 1.2)) for turn in (turn_in, turn_out)]
         borders = np.array(
             [segment.begin, segment.begin + segment.first_turn, segment.arrival - 0.85 * segment.last_turn, segment.end]
         )
