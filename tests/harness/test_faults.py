@@ -79,7 +79,7 @@ def recorded(table: SequenceTable, ids: list[str]) -> dict[str, np.ndarray]:
 def people() -> SequenceTable:
     """A table of at least twenty test sequences of synthetic people."""
     settings = {"n_events": 12, "noise": 0.0, "provocations": {}}
-    folder = made_once("people", lambda path: build_synthetic_table("adt", (2, 13), 2024, path, **settings))
+    folder = made_once("people", lambda path: build_synthetic_table("adt", (1, 10), 2024, path, **settings))
     return SequenceTable.open(folder).with_sequences()
 
 

@@ -77,7 +77,7 @@ def test_real_devices_are_moved_to_the_joints_that_carry_them(tmp_path, tracks, 
     assert "at least 60 s are needed. Without them, devices are synthetic alone" in told
     assert "found no trajectory" in told
     for name, chunk in rows(tmp_path / "t").items():
-        assert "adt021" in name
+        assert "_invented_adt" in name
         joints = chunk.joints
         valid = chunk.frames("device_valid")
         apart = np.linalg.norm(chunk.frames("device_position").reshape(-1, 3, 3) - joints[:, DEVICES], axis=-1)
@@ -85,8 +85,10 @@ def test_real_devices_are_moved_to_the_joints_that_carry_them(tmp_path, tracks, 
         assert apart[:, 0].max() < 1e-5  # the body goes where its head is the glasses'
         assert np.median(apart[:, 1:][valid[:, 1:]]) < 0.02
         # The body is the suit's, in another world: distances within it stay.
-        same = rows(tracks)[name.replace("/real/", "/synthetic/")]
-        chunks = ((joints, 1), (same.joints, 2))  # at 30 and at 60 frames a second
+        recording, _, first = name.rsplit("/", 2)
+        same = rows(tracks)[f"{recording}/synthetic/00000000"]
+        # At 30 and at 60 frames a second, from the first of 240 that has poses of the glasses.
+        chunks = ((joints, 1), (same.joints[int(first) // 4 :], 2))
         tall, as_tall = (np.linalg.norm(each[::step, 15] - each[::step, 0], axis=-1)[:900] for each, step in chunks)
         assert tall == pytest.approx(as_tall, abs=1e-3)
 
@@ -94,7 +96,7 @@ def test_real_devices_are_moved_to_the_joints_that_carry_them(tmp_path, tracks, 
 def test_a_wristband_that_is_missing_is_masked_and_told(tmp_path):
     root = tmp_path / "tree"
     shutil.copytree(tree(), root)
-    shutil.rmtree(next(root.glob("*adt021*")) / "recording_lwrist")
+    shutil.rmtree(next(root.glob("*_invented_adt*")) / "recording_lwrist")
     build(tmp_path / "t", root=root, devices="real")
     for chunk in rows(tmp_path / "t").values():
         assert chunk.frames("device_valid").mean(axis=0)[1] == 0.0

@@ -70,9 +70,10 @@ def test_one_recording_of_five_begins_with_wrong_hands(performance) -> None:
     """Index 6 is one of them, and of a newer release, which says so in a mask."""
     wrong = sense(performance)
     right = sense(performance, switches=replace(Switches(), hand_start=False))
-    first = wrong.hands[0].time_ns - wrong.headset.time_ns[0] < 0.7e9
+    elapsed = (wrong.hands[0].time_ns - wrong.headset.time_ns[0]) * 1e-9
     moved = np.linalg.norm(wrong.hands[0].position - right.hands[0].position, axis=1)
-    assert moved == pytest.approx(np.where(first, 0.25, 0.0), abs=1e-6)
+    clear = np.abs(elapsed - 0.7) > 1e-3  # hands and headset have clocks of their own
+    assert moved[clear] == pytest.approx(np.where(elapsed[clear] < 0.7, 0.25, 0.0), abs=1e-6)
     times, good = wrong.masks["qa_pass"]
     assert np.array_equal(~good, times - times[0] < 0.7e9)
     assert right.masks["qa_pass"][1].all()
