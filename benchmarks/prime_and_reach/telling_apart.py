@@ -110,8 +110,8 @@ def causes_tables(
                 one = np.ones(len(generated))
                 goals = np.tile(motions.goal, (len(one), 1))
                 about = (goals, one, np.full(len(one), UNKNOWN_HAND), one * motions.head_tilt_deg, motions.fps)
-                batches = (MotionBatch.from_motions(each) for each in (generated, [people] * len(one)))
-                pair = ScoringPair(*batches, ScoringTargets(*about, pose_given=pose_given))
+                predicted, recorded = (MotionBatch.from_motions(each) for each in (generated, [people] * len(one)))
+                pair = ScoringPair(predicted, recorded, ScoringTargets(*about, pose_given=pose_given))
                 broken = broken_limits(body_numbers(pair, constants), limits, constants.threshold_tolerance)
                 of_run.append((f"{table.info.dataset}/{recording}", broken))
     blocks = []

@@ -93,10 +93,10 @@ def write_pairs(scenes: Sequence[Scene], folder: Path, *, question: str, right: 
         told = player_sequence(replace(scene, sequence_id=f"pair {number}", dataset="", notice=""))
         motions = told.motions[::-1] if flip else told.motions
         # Nothing but bodies: the player would tell scores, slides and gaze, too.
-        bodies = []
-        for motion, side, colour in zip(motions, _SIDES, METHOD_COLOURS, strict=False):
-            body = {"joints": motion.joints, "head_ray": motion.head_ray}
-            bodies.append(PlayerMotion(label=side, kind="method", colour=colour, **body))
+        bodies = [
+            PlayerMotion(label=side, kind="method", colour=colour, joints=motion.joints, head_ray=motion.head_ray)
+            for motion, side, colour in zip(motions, _SIDES, METHOD_COLOURS)
+        ]
         shown.append(encoded(msgspec.structs.replace(told, motions=bodies)).decode())
         about = {name: getattr(scene, name) for name in ("sequence_id", "dataset", "recording_id")}
         pairs.append(KeptPair(sides=(motions[0].label, motions[1].label), **about))

@@ -44,6 +44,16 @@ def test_the_area_grows_with_how_far_two_kinds_are_apart(apart, low, high) -> No
     assert found.high is None or found.low <= found.mean <= found.high <= 1.0
 
 
+def test_the_interval_of_independent_motions_is_that_of_hanley_and_mcneil() -> None:
+    second = np.tile([False, True], 1000)
+    features = named_generator("interval").normal(size=(2000, 1)) + second[:, None]
+    found = _area(features, second, np.arange(2000))
+    a = found.mean
+    spread = a * (1 - a) + 999 * (a / (2 - a) - a**2) + 999 * (2 * a**2 / (1 + a) - a**2)
+    assert found.high is not None
+    assert found.high - a == pytest.approx(1.96 * (spread / 1000**2) ** 0.5, rel=0.1)
+
+
 def test_equal_motions_cannot_be_told_apart() -> None:
     features = np.repeat(named_generator("equal").normal(size=(40, 3)), 2, axis=0)
     assert _area(features, np.tile([False, True], 40), np.repeat(np.arange(20), 4)).mean == pytest.approx(0.5)
