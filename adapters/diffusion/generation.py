@@ -358,7 +358,7 @@ def choice(options: Mapping[str, str], key: str, values: tuple[str, ...], defaul
 def sampling_settings(
     options: Mapping[str, str], *, guidance: float, diffusion_steps: int, samplers: tuple[str, ...] = SAMPLERS
 ) -> SamplingSettings:
-    """Return the options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddim`` does.
+    """Return the options ``guidance``, ``sampler`` and ``steps``; ``one-pass`` walks as ``ddpm`` does.
 
     Args:
         options: The options that were given.
@@ -370,5 +370,5 @@ def sampling_settings(
         ValueError: naming the option with a value that is not possible.
     """
     weight = number(options, "guidance", guidance)
-    sampler = "ddpm" if choice(options, "sampler", samplers) == "ddpm" else "ddim"
+    sampler = "ddim" if choice(options, "sampler", samplers) == "ddim" else "ddpm"
     return SamplingSettings(weight, sampler, whole_number(options, "steps", most=diffusion_steps))

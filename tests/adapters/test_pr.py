@@ -42,7 +42,7 @@ def few_steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_one_pass_takes_the_passes_of_the_weights_and_nothing_else(few_steps):
-    ways = ({"sampler": "one-pass"}, {**SAMPLING, "sampler": "ddim"}, {**SAMPLING, "sampler": "one-pass"})
+    ways = ({"sampler": "one-pass"}, {**SAMPLING, "sampler": "ddpm"}, {**SAMPLING, "sampler": "one-pass"})
     found = [_generate(load(few_steps, options=way, device="cpu"), Condition.GOAL_LOCATION) for way in ways]
     assert found[0].cost is not None
     assert found[0].cost.network_passes == 3 * 2
