@@ -7,8 +7,10 @@ windows that are scored. The order of batches is a function of seed and step.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any, Literal
 
@@ -370,5 +372,11 @@ def load_batches(dataset: Items, batches: LengthBatches, *, workers: int = 0, pi
         pin_memory=pinned,
         multiprocessing_context="spawn" if workers else None,
         prefetch_factor=_AHEAD if workers else None,
+        worker_init_fn=_leave_at_once,
     )
     return iter(loader)
+
+
+def _leave_at_once(worker: int) -> None:  # noqa: ARG001 - what torch hands over
+    """Let a worker end without tidying up Python, in which threads that still send batches would abort it."""
+    Finalize(None, os._exit, args=(0,), exitpriority=-100)

@@ -219,7 +219,7 @@ class SequenceDataset(Dataset[MotionItem]):
             if features is None:
                 start = int(generator.integers(motion.n_frames - self.max_frames + 1))
                 motion = stores.cut(motion, start, self.max_frames, name=name)
-                features = stores.encoded(motion, self.mode, name=name)
+                features = stores.encoded(motion, self.mode, name=name, checked=True)
         return MotionItem(
             features, motion.joints, text, motion.previous_joints, motion.goal_location, self.fps, sequence_id=name
         )

@@ -94,15 +94,16 @@ def check_headings(joints: Float[np.ndarray, "n 22 3"], *, name: str, first: int
     require_rows(name, without, "a pose with a heading", found, place="frame", first=first, remedy=remedy)
 
 
-def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 263"]:
+def encoded(motion: Motion, mode: Mode, *, name: str, checked: bool = False) -> Float[np.ndarray, "n 263"]:
     """Raw features, one row a frame, the last one with the step to the motion's own next frame.
 
-    People may lie or crawl: which axis points up was checked when the table was built.
+    People may lie or crawl: which axis points up was checked when the table was built. A part of a stored row was
+    ``checked`` when the store was made.
 
     Raises:
         InputFileError: if a pose cannot be encoded; it begins with ``name``.
     """
-    return encode(motion.joints, next_joints=motion.next_joints, mode=mode, source=name, upright=False)
+    return encode(motion.joints, next_joints=motion.next_joints, mode=mode, source=name, upright=False, checked=checked)
 
 
 @dataclass(frozen=True)
@@ -342,7 +343,7 @@ def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.Reco
             if motion.n_frames <= longest:
                 features = encoded(motion, encoding.mode, name=name)
             else:
-                check_joints(motion.joints, source=name, upright=False)
+                check_joints(np.concatenate([motion.joints, motion.next_joints[None]]), source=name, upright=False)
                 check_headings(motion.joints, name=name)  # any of its frames may become the first
                 features = np.empty((0, N_FEATURES), dtype=np.float32)
         except InputFileError as error:

@@ -1,0 +1,56 @@
+"""Batches a second that training is fed: ``python -m benchmarks.speed.bench_loading`` from the repository's root.
+
+Whole rows are read from the feature store, random crops (for pre-training) are encoded when they are drawn. Without
+``--data`` both are of synthetic people. The store is made before the clock starts. Wall time, because that is what a
+GPU waits for: nothing else may run beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from prbench.cli.main import main as prbench
+from prbench_adapters.training.batches import LengthBatches, load_batches
+from prbench_adapters.training.dataset import SequenceDataset
+
+_WARM_UP = 10  # batches: those that loaders prepare ahead would else count as made in no time
+JOBS: dict[str, dict[str, Any]] = {"whole rows": {}, "random crops of 60 frames": {"crop": "random", "max_frames": 60}}
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, nargs="+", help="built tables; synthetic people by default")
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--batches", type=int, default=60, help="batches that are timed")
+    parser.add_argument("--loaders", type=int, nargs="+", default=(0, 2), help="as in prbench train")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        tables = options.data or [Path(scratch) / "people"]
+        if options.data is None:
+            prbench(["synthesize", "adt", "--table", "--count", "12", "--out", str(tables[0]), "--quiet"])
+        for job, settings in JOBS.items():
+            data = SequenceDataset(tables, cache=Path(scratch) / "cache", **settings)
+            for loaders in options.loaders:
+                rate = batches_a_second(data, options.batch, options.batches, loaders)
+                print(f"{job}, {loaders} loaders: {rate:.0f} batches of {options.batch} a second")
+
+
+def batches_a_second(data: SequenceDataset, size: int, count: int, loaders: int) -> float:
+    """Time the batches that a training would be given."""
+    batches = load_batches(data, LengthBatches(data, size), workers=loaders)
+    for _ in islice(batches, _WARM_UP):
+        pass
+    start = time.perf_counter()
+    for _ in islice(batches, count):
+        pass
+    return count / (time.perf_counter() - start)
+
+
+if __name__ == "__main__":
+    main()
