@@ -311,9 +311,4 @@ def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
         axes.text(centre, window.floor - 0.1, name, fontsize=6, ha="center", va="top", color="0.35")
     if window.look is not None:
         axes.plot(*figures.flattened(window.look, last, window.sideways, shifts[0]).T, color=GAZE_COLOUR, linewidth=1.4)
-    everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
-    axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
-    axes.set_ylim(min(window.floor, float(everything[:, 1].min())) - 0.3, everything[:, 1].max() + 0.15)
-    axes.axhline(window.floor, color="0.8", linewidth=0.8, zorder=0)
-    axes.set_aspect("equal")
-    figures.without_frame(axes)
+    figures.frame_side_view(axes, clouds, shifts, _MARGIN, window.floor)

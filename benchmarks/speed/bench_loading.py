@@ -18,7 +18,9 @@ from prbench.cli.main import main as prbench
 from prbench_adapters.training.batches import LengthBatches, load_batches
 from prbench_adapters.training.dataset import SequenceDataset
 
-_WARM_UP = 10  # batches: those that loaders prepare ahead would else count as made in no time
+# Batches; those that loaders prepare ahead would else count as made in no time.
+_WARM_UP = 10
+_TIMED = 60
 JOBS: dict[str, dict[str, Any]] = {"whole rows": {}, "random crops of 60 frames": {"crop": "random", "max_frames": 60}}
 
 
@@ -26,8 +28,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, nargs="+", help="built tables; synthetic people by default")
-    parser.add_argument("--batch", type=int, default=64)
-    parser.add_argument("--batches", type=int, default=60, help="batches that are timed")
+    parser.add_argument("--batch", type=int, default=64, help="sequences of a batch")
     parser.add_argument("--loaders", type=int, nargs="+", default=(0, 2), help="as in prbench train")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -37,19 +38,17 @@ def main() -> None:
         for job, settings in JOBS.items():
             data = SequenceDataset(tables, cache=Path(scratch) / "cache", **settings)
             for loaders in options.loaders:
-                rate = batches_a_second(data, options.batch, options.batches, loaders)
+                rate = batches_a_second(data, options.batch, loaders)
                 print(f"{job}, {loaders} loaders: {rate:.0f} batches of {options.batch} a second")
 
 
-def batches_a_second(data: SequenceDataset, size: int, count: int, loaders: int) -> float:
+def batches_a_second(data: SequenceDataset, size: int, loaders: int) -> float:
     """Time the batches that a training would be given."""
     batches = load_batches(data, LengthBatches(data, size), workers=loaders)
-    for _ in islice(batches, _WARM_UP):
-        pass
-    start = time.perf_counter()
-    for _ in islice(batches, count):
-        pass
-    return count / (time.perf_counter() - start)
+    for number, _ in enumerate(islice(batches, _WARM_UP + _TIMED)):
+        if number == _WARM_UP - 1:
+            start = time.perf_counter()
+    return _TIMED / (time.perf_counter() - start)
 
 
 if __name__ == "__main__":

@@ -163,12 +163,7 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup, primes: Int[np.ndarray, 
         if fan.shows_goal and moment != _MOMENTS[0]:
             axes.plot(goal[0, 0] + shift, goal[0, 1], "s", color=GOAL_COLOUR, markersize=4, zorder=4)
         axes.text(float(points[:, 0].mean()) + shift, -0.12, moment, fontsize=6, ha="center", va="top", color="0.35")
-    everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
-    axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
-    axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)
-    axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    axes.set_aspect("equal")
-    figures.without_frame(axes)
+    figures.frame_side_view(axes, clouds, shifts, _MARGIN, 0.0)
 
 
 def _draw_curves(axes: Axes, group: FanGroup, curves: np.ndarray, title: str, top: float) -> None:

@@ -182,6 +182,24 @@ def without_frame(axes: Axes) -> None:
     axes.spines[:].set_visible(False)
 
 
+def frame_side_view(axes: Axes, clouds: Sequence[Flat], shifts: Sequence[float], margin: float, floor: float) -> None:
+    """Show all points of a view from the side, each cloud at its place, on the line of the floor.
+
+    Args:
+        axes: The panel.
+        clouds: Picture coordinates before they are shifted, metres.
+        shifts: How far each cloud is moved to the right.
+        margin: Room beside the outermost points, metres.
+        floor: Height of the floor; the names of the moments stand below it.
+    """
+    everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
+    axes.set_xlim(everything[:, 0].min() - margin, everything[:, 0].max() + margin)
+    axes.set_ylim(min(floor, float(everything[:, 1].min())) - 0.32, everything[:, 1].max() + 0.15)
+    axes.axhline(floor, color="0.8", linewidth=0.8, zorder=0)
+    axes.set_aspect("equal")
+    without_frame(axes)
+
+
 def flattened(points: Float[np.ndarray, "n 3"], pelvis: Vector, sideways: Vector, at: float) -> Flat:
     """Return picture coordinates of points around a pelvis that stands at ``at``, metres."""
     return np.stack([(points - pelvis) @ sideways + at, points[:, 1]], axis=-1)
