@@ -194,7 +194,7 @@ def wandb_run(out: Path, project: str, record: TrainingRecord) -> Any:
         project: Name of the project.
         record: Shown as the run's configuration.
     """
-    import wandb
+    import wandb  # pyright: ignore[reportMissingImports]
 
     kept = out / "wandb.json"
     if not kept.is_file():

@@ -157,7 +157,8 @@ def train(
     torch.set_num_threads(request.threads)
     if request.wandb is not None:
         try:
-            import wandb  # noqa: F401  # missing, it is missed before the data are prepared
+            # Where it is missing, this is said before the data are prepared.
+            import wandb  # noqa: F401  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise MissingExtraError("wandb", "wandb", "--wandb") from error
     fabric = make_fabric(request.device, devices=request.devices)

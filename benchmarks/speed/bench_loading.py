@@ -45,10 +45,8 @@ def main() -> None:
 def batches_a_second(data: SequenceDataset, size: int, loaders: int) -> float:
     """Time the batches that a training would be given."""
     batches = load_batches(data, LengthBatches(data, size), workers=loaders)
-    for number, _ in enumerate(islice(batches, _WARM_UP + _TIMED)):
-        if number == _WARM_UP - 1:
-            start = time.perf_counter()
-    return _TIMED / (time.perf_counter() - start)
+    ready = [time.perf_counter() for _ in islice(batches, _WARM_UP + _TIMED)]
+    return _TIMED / (ready[-1] - ready[_WARM_UP - 1])
 
 
 if __name__ == "__main__":
