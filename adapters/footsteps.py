@@ -26,11 +26,11 @@ ANKLES = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE)
 SWING = 0.45
 _SHORTEST_SWING = 0.35
 _LONGEST_SWING = 0.8  # seconds; a foot that is on its way for longer glides
-# Metres to which a toe rises at least in the middle of a swing, and more for each metre of the step: 6,584 swings of
-# recorded toes (tables of synthetic people of generator 2, training split), 6 mm around that. Networks lift less,
-# because the mean of many swings is lower than each.
-_LIFT = 0.047
-_LIFT_SLOPE = 0.0275
+# Metres to which a toe rises at least in the middle of a swing, and more for each metre of the step; choice, so that
+# finished motions of synthetic people of generator 3, smoothed as networks do, keep the lift of their toes. Networks
+# lift less, because the mean of many swings is lower than each.
+_LIFT = 0.04
+_LIFT_SLOPE = 0.025
 # Metres that a toe may be away from where it is wanted before it swings; choice, about a foot's width.
 LAG = 0.1
 _TURN = np.deg2rad(40)  # by which it may be turned away, too; choice
@@ -144,13 +144,13 @@ def _own_swings(toe: Float[np.ndarray, "frames 3"], pelvis: Float[np.ndarray, "f
     n = len(toe)
     ways = [np.linalg.norm(np.diff(points[:, ::2], axis=0), axis=1) for points in (toe, pelvis)]
     speed, body = (np.convolve(way * fps, (0.25, 0.5, 0.25))[1:-1] for way in ways)
-    moves = speed > _STILL
+    moves = (speed > _STILL) | (np.minimum(toe[1:, 1], toe[:-1, 1]) > 1.5 * _HIGHEST)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], speed > np.maximum(_QUICK, 1.2 * body), [False]])))
     swings: list[Swing] = []
     for start, stop in edges.reshape(-1, 2).tolist():
-        # The slow begin and end of the swing, two frames at most.
-        start -= next((k for k in (0, 1) if start - k < 1 or not moves[start - k - 1]), 2)
-        stop += next((k for k in (0, 1) if stop + k >= n - 1 or not moves[stop + k]), 2)
+        # The slow begin and end of the swing, three frames at most.
+        start -= next((k for k in range(3) if start - k < 1 or not moves[start - k - 1]), 3)
+        stop += next((k for k in range(3) if stop + k >= n - 1 or not moves[stop + k]), 3)
         if swings and start <= swings[-1].stop + 1:
             start = swings.pop().start
         swings.append(Swing(start, stop, (start, stop)))
