@@ -185,7 +185,7 @@ def tell_apart_table(
 
     Returns:
         A row a run: the area under the curve with its interval over recordings, that of every second
-        recorded motion of each recording against the others, and the features that tell most by themselves.
+        recorded motion, recording after recording, against the others, and the features that tell most by themselves.
 
     Raises:
         UsageError: for a control, or fewer than ten recordings.
@@ -194,27 +194,27 @@ def tell_apart_table(
     labels, opened = _opened(runs)
     names = [f"{kind} of {Joint(parent).name}-{Joint(child).name}" for kind in _STATISTICS for parent, child in BONES]
     rows = []
-    notes = ["0.5 is chance. People: every second recorded motion of each recording against the others."]
+    notes = ["0.5 is chance. People: every second recorded motion, recording after recording, against the others."]
     for label, run in zip(labels, opened, strict=True):
         recordings: list[str] = []
-        odd = []  # every second motion of a recording
         values = []
         for table in tables_of_runs([run], data):
             notes += [ON_SYNTHETIC_DATA] if table.info.synthetic else []
             for _, recording, motions, _ in beside_people(run, table, progress):
                 recordings.append(f"{table.info.dataset}/{recording}")
-                odd.append(recordings.count(recordings[-1]) % 2 == 0)
                 values.append(held_out_features(motions.joints[:2], motions.fps))
         units = sorted(set(recordings), key=text_digest)
         if len(units) < 2 * _FOLDS:
             raise UsageError(f"{run.path}: expected {2 * _FOLDS} recordings or more to learn from, found {len(units)}.")
         place = np.array([units.index(name) for name in recordings])
+        every_other = np.zeros(len(place), dtype=bool)
+        every_other[np.argsort(place, kind="stable")[1::2]] = True  # recording after recording
         both = np.stack(values)
         alone = [abs(_above(each[:, 1], each[:, 0]).mean() - 0.5) for each in np.moveaxis(both, 2, 0)]
         telling = "; ".join(names[number].lower() for number in np.argsort(alone)[:-4:-1])
         everybody = (both.reshape(-1, len(names)), np.tile([False, True], len(both)), np.repeat(place, 2))
         cells = []
-        for metric, told in (("area", everybody), ("people", (both[:, 0], np.array(odd), place))):
+        for metric, told in (("area", everybody), ("people", (both[:, 0], every_other, place))):
             area = _area(*told)
             about: dict[str, Any] = {"low": area.low, "high": area.high, "recordings": area.n_recordings}
             cells.append(Cell(metric=metric, value=area.mean, method=label, sequences=len(both), **about))

@@ -166,13 +166,13 @@ def test_pairs_of_a_run_are_written_answered_and_counted(table, tmp_path, instal
 
 def test_a_classifier_tells_noise_from_people_and_no_people_from_others(tmp_path, install, capsys):
     install("made", adapter_source(body=GENTLE))
-    table = fake_dataset(tmp_path / "table", 48, recordings=24)
+    table = fake_dataset(tmp_path / "table", 48, recordings=48)
     words = ["analyse", "tell-apart", made_run(table, tmp_path / "run", samples=1, split="train", limit=None)]
     (found,) = reported([*words, "--data", str(table.folder)], capsys).tables
     area, people = found.blocks[0].rows[0].cells
     assert (area.metric, area.value) == ("area", 1.0)
     assert area.recordings >= 10
-    assert 0.2 < people.value < 0.8
+    assert people.value < 0.75  # so few motions are told apart worse than by chance
     assert " of " in found.blocks[0].rows[0].text["telling"]
     words[2] = made_run(table, tmp_path / "few", samples=1, split="train", limit=8)
     refused([*words, "--data", str(table.folder)], capsys, code=2, message="10 recordings or more")
