@@ -22,7 +22,7 @@ Poses = Float[np.ndarray, "frames 4"]  # of a foot: place of the toe (x, y, z), 
 ANKLES = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE)
 
 # Seconds of a swing that the network does not have: 40 % of a gait cycle of 1.1 seconds (Perry and Burnfield 2010, Gait
-# Analysis); and of the shortest one that it may have.
+# Analysis); and of the shortest one that it may have: three feet a second, where people walk with two (Winter 1991).
 SWING = 0.45
 _SHORTEST_SWING = 0.35
 _LONGEST_SWING = 0.8  # seconds; a foot that is on its way for longer glides
@@ -41,7 +41,6 @@ _STILL = 0.2  # m/s, below which a foot stands: the protocol's ``slide_speed``
 _QUICK = 0.3  # m/s, and a fifth faster than the pelvis: a foot that swings
 _REST = 0.15  # seconds on the floor between two swings of a foot; choice
 _HIGHEST = 0.02  # metres above the floor at which a toe stands at most; choice, the highest of people's
-_STEPS = 3  # most feet lifted within a second; people walk with two (Winter 1991)
 _END = 0.15  # seconds before the end of a motion in which no swing starts
 _RETURN = 0.2  # seconds after the first and before a given last frame within which heights pass to the given ones
 _ROLL = np.deg2rad(25)  # by which a heel rises more than wanted around a swing that the network does not have
@@ -178,12 +177,8 @@ def _planned(
     length = max(round(SWING * fps), 2)
     own = [_own_swings(wanted[:, foot, :3], pelvis, fps) for foot in (0, 1)]
     swings: list[list[Swing]] = [[], []]
-    lifts: list[int] = []
     frame = 0
     while frame < n - _END * fps:
-        if len(lifts) >= _STEPS and frame - lifts[-_STEPS] <= fps + 1:
-            frame += 1
-            continue
         ready = [foot for foot in (0, 1) if not swings[foot] or frame - swings[foot][-1].stop >= _REST * fps]
         lags = [_lag(wanted[:, foot], swings[foot], frame, length) if foot in ready else 0.0 for foot in (0, 1)]
         foot = int(np.argmax(lags))
@@ -202,7 +197,6 @@ def _planned(
         else:
             frame += 1
             continue
-        lifts.append(frame)
         frame = swings[foot][-1].stop
     return swings
 

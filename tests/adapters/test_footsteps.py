@@ -137,6 +137,12 @@ def test_of_two_feet_that_stand_and_end_elsewhere_one_is_always_on_the_floor():
     np.testing.assert_allclose(found[-1, :, :3], body[-1, TOES])
 
 
+def test_feet_that_float_are_brought_to_the_floor():
+    body = gliding()
+    body[1:, :, 1] += 0.06
+    assert (walked(body)[10:, :, 1].min(axis=1) < LOW).all()
+
+
 def test_a_longer_motion_at_another_rate_steps_as_often():
     coarse = gliding()
     fine = np.repeat(coarse, 2, axis=0)
