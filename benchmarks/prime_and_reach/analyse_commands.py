@@ -107,6 +107,12 @@ def _answers(paths: Paths) -> Answer:
     return _answer(AnalysisReport(tables=[answers_table(paths[0], paths[1:])]))
 
 
+def _people(tables: Paths, *, seed: int, count: int) -> Answer:
+    from prbench_benchmarks.prime_and_reach.people import people_table
+
+    return _answer(AnalysisReport(tables=[people_table(tables, seed=seed, recordings=count)]))
+
+
 # The function of each kind, and the options that it takes .
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
@@ -115,6 +121,7 @@ _KINDS = {
     "distributions": (partial(_tables, "distributions:distribution_tables"), ("data",)),
     "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
     "pairs": (_pairs, ("data", "out", "pairs", "seed", "permission")),
+    "people": (_people, ("seed", "count")),
     "tell-apart": (partial(_tables, "telling_apart:tell_apart_table"), ("data",)),
 }
 
@@ -136,7 +143,7 @@ def _out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     report=AnalysisReport,
 )
 @click.argument("kind", type=click.Choice(list(_KINDS)), metavar="KIND", is_eager=True)
-@click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
+@click.argument("runs", type=opt.PATH, nargs=-1, metavar="RUN...")
 @opt.data_option(
     required=False, help="Tables of the runs, on which their scores are checked; the embedded ones are known."
 )
@@ -158,8 +165,9 @@ def _out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     help="Of pairs: the folder of the page. Of others: write the report as JSON to this file, too.",
 )
 @opt.number_option("--pairs", "Of pairs: most pairs, of each table as many (default 60).", default=60)
-@opt.seed_option("of the pairs, their order and sides")
+@opt.seed_option("of the pairs, their order and sides, or of acted people")
 @opt.permission_option
+@opt.number_option("--count", "Of people: acted recordings a layout (default 4).", default=4)
 @opt.workers_option()
 @click.pass_context
 def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
@@ -177,8 +185,13 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
 
     pairs: a page on which people choose between RUN's motion and the recorded one; answers: what the saved files say
     (analyse answers DIR FILE...); tell-apart: how well a classifier tells them apart (docs/telling-apart.md).
+
+    people: how people look, reach and walk beside what others measured (docs/specification/people.md): those of tables
+    in place of RUN, else synthetic ones from --seed, as they were acted out at 120 frames a second.
     """
     make, taken = _KINDS[kind]
+    if not runs and kind != "people":
+        raise UsageError(f"analyse {kind}: name one RUN or more.")
     if "out" not in taken:
         del given["out"]
     return make(runs, **taken_options(ctx, f"analyse {kind}", given, taken))
