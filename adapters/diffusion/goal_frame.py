@@ -348,7 +348,7 @@ def bent(
         roots: Hips or shoulders, metres.
         targets: Places for ankles or wrists.
         upper: Lengths of the upper bones, with an axis for the coordinates.
-        lower: Lengths of the lower bones, likewise.
+        lower: Lengths of the lower bones, with the same axis.
         poles: Directions to the side of which the limbs bend.
     """
     way = targets - roots

@@ -58,8 +58,8 @@ def test_the_page_brings_a_foreign_format_in_and_finds_the_same_primes(tmp_path,
         assert main(shlex.split(line)[1:]) == 0, line
         printed += capsys.readouterr().out
     assert "walk  complete" in re.sub(" +", "  ", printed)
-    assert "5 events have prime times in events.parquet; sequences need bodies" in printed
-    assert "first look at 4571.218 s" in printed
+    assert "6 events have prime times in events.parquet; sequences need bodies" in printed
+    assert "first look at 38764.926 s" in printed
     assert main(["build-dataset", "hd-epic", "--root", str(tree("hd-epic")), "--out", "original"]) == 0
     np.testing.assert_allclose(primes(tmp_path / "tables/kitchen"), primes(tmp_path / "original"), rtol=0, atol=1e-4)
     info = SequenceTable.open(tmp_path / "tables/kitchen").info

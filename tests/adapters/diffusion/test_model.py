@@ -14,7 +14,7 @@ from prbench_adapters.diffusion.configuration import (
     DenoiserConfiguration,
     raw_condition,
 )
-from prbench_adapters.diffusion.model import MotionModel, torch_device
+from prbench_adapters.diffusion.model import SMOOTHINGS, MotionModel, torch_device
 from prbench_adapters.training.weights import read_weights, write_weights
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
@@ -39,8 +39,9 @@ def test_joints_are_those_of_restored_features_and_a_smoothed_model_averages_nei
     normalised = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(0))
     raw = (normalised * model.std + model.mean).numpy()
     expected = raw.copy()
-    if smoothed:
-        expected[:, 1:-1] = (raw[:, :-2] + 2 * raw[:, 1:-1] + raw[:, 2:]) / 4
+    for _ in range(SMOOTHINGS if smoothed else 0):
+        before = expected.copy()
+        expected[:, 1:-1] = (before[:, :-2] + 2 * before[:, 1:-1] + before[:, 2:]) / 4
         expected[1, 3:] = raw[1, 3:]  # the last frame of the shorter one, and its padding
     found = model.joints(normalised, model.encode(tiny.text_batch([6, 4])), torch.tensor([6, 4])).numpy()
     np.testing.assert_allclose(found[0], decode(expected)[0], rtol=0, atol=1e-5)
