@@ -197,8 +197,7 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
             estimates["people"] = mean_interval(clustered(theirs, recordings), nonnegative=True)
             estimates["difference"], _ = difference_interval(clustered(own - theirs, recordings))
         about: dict[str, Any] = {"dataset": info.dataset, "condition": run.record.condition}
-        about["method"] = run.record.method.name
-        about |= {"variant": spread, "unit": unit}
+        about |= {"method": run.record.method.name, "variant": spread, "unit": unit}
         cells = []
         for name, each in estimates.items():
             about |= {"value": each.mean, "low": each.low, "high": each.high, "note": "; ".join(each.marks)}
@@ -289,9 +288,7 @@ def agreement_tables(runs: Sequence[Path], checker: RunChecker) -> list[Table]:
             unverified = checker.check(run, record).unverified
             found = DatasetAgreement.read(run.dataset(record.dataset).path)
             title = f"{path.name}: {run.record.method.name} (declared) on {record.dataset}"
-            notes = []
-            if unverified:
-                notes.append(f"unverified: {unverified}")
+            notes = [f"unverified: {unverified}"] if unverified else []
             if record.synthetic:
                 notes.append(ON_SYNTHETIC_DATA)
             table = checker.find_table(record)

@@ -131,14 +131,13 @@ def _looks(person: Observed) -> Iterator[Measurement]:
     """Yield the head's share of each horizontal gaze shift that begins with a resting head, and its lag."""
     turning = _turning(person.head, person.fps)
     gaze = person.gaze
-    head = person.head
     before = round(0.2 * person.fps)
     after = round(0.4 * person.fps)
     for start, stop in _bouts(_turning(person.gaze, person.fps) > _SACCADE):
         if start < before or stop + after >= len(gaze) or turning[start - before] > _TURNING:
             continue
         shift = _yaw(gaze[start], gaze[stop])
-        moved = _yaw(head[start - before], head[stop + after])
+        moved = _yaw(person.head[start - before], person.head[stop + after])
         if _angle(gaze[stop], gaze[stop + after]) < _SAME_LOOK <= abs(shift):  # False where gaze is unknown
             yield "head_share", abs(shift), moved / shift
             if (onsets := np.flatnonzero(turning[start - before : stop] > _TURNING)).size:
