@@ -64,7 +64,7 @@ def synthetic_windows(folder: Path) -> AskedWindows:
     anchored = folder / "anchored"
     if not (anchored / FILE_NAME).is_file():
         # More people to learn from than for motions, because a predictor may answer with one training window each.
-        table = write_synthetic_table(folder / "sequences", (*RECORDINGS, 3, 4, 6, 7, 8, 9, 10))
+        table = write_synthetic_table(folder / "sequences", (*RECORDINGS, 3, 4, 5, 6, 7, 8, 9))
         build_anchored_windows(table, anchored, only=("prime",))
     return windows_of_table(anchored, folder)
 

@@ -182,7 +182,9 @@ def without_frame(axes: Axes) -> None:
     axes.spines[:].set_visible(False)
 
 
-def frame_side_view(axes: Axes, clouds: Sequence[Flat], shifts: Sequence[float], margin: float, floor: float) -> None:
+def frame_side_view(
+    axes: Axes, clouds: Sequence[Float[np.ndarray, "_n 2"]], shifts: Sequence[float], margin: float, floor: float
+) -> None:
     """Show all points of a view from the side, each cloud at its place, on the line of the floor.
 
     Args:

@@ -133,7 +133,7 @@ def test_the_recorded_motion_is_noticed_however_it_is_disguised(disguise, people
 
 
 @pytest.mark.parametrize("disguise", [lambda m: m, mirrored, elsewhere, swaying])
-@pytest.mark.parametrize(("metres", "share"), [(0.01, 0.8), (0.05, 0.2)])
+@pytest.mark.parametrize(("metres", "share"), [(0.01, 0.75), (0.05, 0.2)])
 def test_most_recorded_motions_are_noticed_under_noise_in_every_frame(metres, share, disguise, people):
     assert marks(people, lambda m: noisy(disguise(m), metres)).mean() > share
 

@@ -82,8 +82,8 @@ NOISE = {"body_losses": 200.0, "mask_losses": 20.0}  # errors that are rare at t
 PERFORMED = {
     "adt": {"seed": 11, "index": 3, "n_events": 2},
     "gimo": {"seed": 11, "index": 0, "n_events": 2},
-    "hd-epic": {"seed": 5, "index": 2, "n_events": 2},
-    "hot3d": {"seed": 11, "index": 6, "n_events": 1},
+    "hd-epic": {"seed": 5, "index": 3, "n_events": 2},
+    "hot3d": {"seed": 1, "index": 6, "n_events": 1},
     "mogaze": {"seed": 1, "index": 0, "n_events": 4},
 }
 RELEASED = {"adt": "adt/aria_digital_twin_test_data", "hot3d": "hot3d/Aria/P0003_c701bd11"}

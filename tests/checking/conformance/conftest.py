@@ -59,7 +59,7 @@ def people(cases: Cases) -> Cases:
 def data() -> Path:
     """A dataset of a few test sequences, which a child opens faster than it makes them."""
     settings = {"n_events": 3, "noise": 0.0, "provocations": {}}
-    return made_once("conformance-data", lambda folder: build_synthetic_table("adt", (2,), 2024, folder, **settings))
+    return made_once("conformance-data", lambda folder: build_synthetic_table("adt", (1,), 2024, folder, **settings))
 
 
 @pytest.fixture

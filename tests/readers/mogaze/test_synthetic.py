@@ -46,7 +46,7 @@ def test_solved_joints_are_exact_below_the_chest_and_those_of_the_back_within_ce
     lean = np.rad2deg(np.arccos(chest.apply((0.0, 1.0, 0.0))[:, 1].clip(-1.0, 1.0)))
     upright = lean < 12
     assert 0.3 < upright.mean() < 1.0, "both upright and bent frames are there"
-    assert error[upright][:, direct].max() < 1e-3
+    assert error[upright][:, direct].max() < 2e-3
     assert error[:, direct].max() < 0.015
     # The back of the performance is no straight line: the more it is bent, the farther are the joints derived from one.
     assert error[lean < 30][:, DERIVED].max() < 0.03

@@ -35,7 +35,7 @@ WORLDS = {
 }  # fmt: skip
 ODD = {
     "action": ("grab", "the action 'pick' or 'put', found 'grab'"),
-    "object": ("cup_reed", "an object of the recording. Did you mean 'cup_red'?"),
+    "object": ("cup_reed", "an object of the recording. Did you mean 'cup_green'?"),
     "time": ("7000.0", "a time from -2.0 to 5.0 s, found 7000.000 s"),
     "x": ("", "numbers in x, y, z, or nothing, found [nan"),
     "y": ("high", "could not convert string to float: 'high'"),

@@ -148,8 +148,8 @@ def unlike(features: np.ndarray, *, times: float) -> np.ndarray:
     return changed
 
 
-# At 20 frames a second. A person of the kitchen stands for most of the time; at sample 380 a way begins.
-WALKING = encode(person(606, 380)[::6])
+# At 20 frames a second. A person of the kitchen stands for most of the time; at sample 1,000 a way begins.
+WALKING = encode(person(606, 1000)[::6])
 
 
 @pytest.mark.parametrize("rows", [50, len(WALKING)])
