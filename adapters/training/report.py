@@ -201,7 +201,7 @@ def wandb_run(out: Path, project: str, record: TrainingRecord) -> Any:
         write_json(kept, {"id": uuid.uuid4().hex[:8]})
     return wandb.init(
         project=project,
-        id=read_json(kept)["id"],
+        id=msgspec.convert(read_json(kept), dict[str, str])["id"],
         resume="allow",
         name=out.resolve().name,
         dir=str(out),
