@@ -57,7 +57,7 @@ class TestMDM(AdapterConformance):
 
 NETWORKS = {
     "gmd": {"steps": "2"},
-    "dno": {"iterations": "2"},
+    "dno": {"iterations": "2", "learning-rate": "0.001", "feet": "predicted"},  # Adam and feet amplify rounding
     "dart": {"iterations": "1", "ddim-steps": "2", "guidance": "1"},
     "wandr": {},
     "pr": {"iterations": "2"},
