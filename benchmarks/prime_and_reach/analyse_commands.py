@@ -113,7 +113,7 @@ def _people(tables: Paths, *, seed: int, count: int) -> Answer:
     return _answer(AnalysisReport(tables=[people_table(tables, seed=seed, recordings=count)]))
 
 
-# The function of each kind, and the options that it takes .
+# The function of each kind, and the options that it takes.
 _KINDS = {
     "agreement": (_agreement, ("data", "workers")),
     "answers": (_answers, ()),
