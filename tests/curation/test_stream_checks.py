@@ -174,8 +174,8 @@ def test_the_real_samples_have_no_finding(samples: Path, dataset):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", LAYOUTS)
-def test_of_twenty_clean_recordings_of_each_layout_few_are_suspicious_and_none_certain(preset):
-    told = [examine_streams(clean(preset, 52_000 + seed)) for seed in range(20)]
+def test_of_ten_clean_recordings_of_each_layout_few_are_suspicious_and_none_certain(preset):
+    told = [examine_streams(clean(preset, 52_000 + seed)) for seed in range(10)]
     found = [each for each in told if each]
     assert not any(diagnosis.certain for each in found for diagnosis in each)
-    assert len(found) <= 3, found
+    assert len(found) <= 2, found
