@@ -45,8 +45,8 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             training and in noise optimisation alike.
         text_tokens: One memory token per word piece, or their mean; the encoder architecture always takes the mean.
         dropped: Conditions that the model never sees, in training and later (*Prime and Reach*, table 3).
-        noise_power: Exponent of the noise schedule (:class:`.sampling.CosineSchedule`). With few steps and 1, as
-            published, the last step sees noise of a fifth of all movement, in which the way of a wrist is lost.
+        noise_schedule: Of :data:`.sampling.SCHEDULES`. Few steps of the published ``cosine`` leave out the noise in which
+            the pace of a whole motion is drawn, and that of a hundredth, in which the way of a wrist is drawn.
         smoothed: Average neighbouring frames with weights 1, 2, 1 when HumanML3D's features are decoded, in training as
             well. That leaves a fifth of the jerk of independent errors; not in the study. Goal-frame features are
             always averaged.
@@ -72,7 +72,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     dropped: tuple[_ConditionPart, ...] = ()
     condition_scaling: Literal["standardised", "none"] = "standardised"
     diffusion_steps: int = 50
-    noise_power: float = 1.0
+    noise_schedule: Literal["cosine", "geometric"] = "cosine"
     representation: Literal["continuous", "reference"] = "continuous"
     fps: float = 20.0
     max_frames: int = 241
@@ -87,7 +87,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         if self.width % self.heads or self.width % 2:
             raise ValueError(f"'width' must be even and a multiple of 'heads' ({self.heads}), found {self.width}")
         require_within(self, "at least 0 and below 1", "dropout")
-        require_within(self, "above 0", "fps", "noise_power")
+        require_within(self, "above 0", "fps")
         if (self.architecture == "frames") is not (self.features == "goal-frame"):
             problem = f"expected frames with goal-frame, or neither, found {self.architecture} with {self.features}"
             raise ValueError(f"'architecture' and 'features': {problem}")

@@ -16,7 +16,7 @@ from prbench.text import TextEncoder, padded, text_encoder
 from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser, Network
 from prbench_adapters.diffusion.goal_frame import TRAINED_WITH, GoalFrame, smoothed
-from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.diffusion.sampling import SCHEDULES
 from prbench_adapters.training.weights import Weights, read_weights
 
 Tokens = Float[torch.Tensor, "texts tokens dimension"]
@@ -98,7 +98,7 @@ class MotionModel:
         self.device = denoiser.head.weight.device
         self.mean, self.std = mean.to(self.device), std.to(self.device)
         self.scaling, self.texts, self.digest = scaling, texts, digest
-        self.schedule = CosineSchedule(self.configuration.diffusion_steps, self.configuration.noise_power)
+        self.schedule = SCHEDULES[self.configuration.noise_schedule](self.configuration.diffusion_steps)
 
     @property
     def configuration(self) -> DenoiserConfiguration:

@@ -14,7 +14,7 @@ from prbench.contract import ConditionBatch, Cost, Motions
 from prbench_adapters.diffusion import generation, noise_optimisation
 from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.model import MotionModel, goal_frame
-from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
+from prbench_adapters.diffusion.sampling import SCHEDULES, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
 Counts = Int[torch.Tensor, " batch"]
@@ -46,7 +46,7 @@ class UnrolledChain:
     def __post_init__(self) -> None:
         denoiser, guidance = self.model.denoiser, self.settings.guidance
         shape = denoiser.configuration
-        self._schedule = CosineSchedule(shape.diffusion_steps, shape.noise_power)
+        self._schedule = SCHEDULES[shape.noise_schedule](shape.diffusion_steps)
         self._guided = generation.Guided(denoiser, self.condition, self.n_frames, guidance, reuse=True)
 
     @property

@@ -27,7 +27,7 @@ from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserC
 from prbench_adapters.diffusion.denoiser import Counts, Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import Joints
 from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame, network, stored_scaling, stored_statistics
-from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.diffusion.sampling import SCHEDULES
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.dataset import Goal, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
@@ -37,6 +37,7 @@ Values = Float[torch.Tensor, "batch frames *value"]
 
 Features = Float[torch.Tensor, "batch frames features"]
 Kept = Bool[Tensor, "batch frames"]
+Shares = Float[Tensor, "batch 1"] | float
 
 _NEAREST = 0.3
 # Metres: the goal's distance counts as at least and at most this, so that near and far goals are both learnt.
@@ -54,6 +55,7 @@ def ray_loss(
     goal: Float[Tensor, "batch 3"],
     valid: Kept,
     prime: Float[Tensor, "*batch frames"],
+    shares: Shares = 1.0,
 ) -> Float[Tensor, ""]:
     """How far the head's axes miss the recorded ones at the distance of the goal.
 
@@ -63,24 +65,28 @@ def ray_loss(
         goal: Same frame; motions whose goal is NaN have no ray and a loss of 0.
         valid: False for padding.
         prime: Seconds of each frame after the prime time.
+        shares: Factors of the sequences' losses.
     """
     distance = (goal[:, None] - recorded[:, :, Joint.HEAD]).norm(dim=-1).clamp(_NEAREST, _FARTHEST).nan_to_num()
     axes = zip(goals.head_axes(predicted), goals.head_axes(recorded), strict=True)
-    missed = sum((ours - theirs).square().sum(dim=-1) for ours, theirs in axes) * distance.square()
+    missed = shares * sum((ours - theirs).square().sum(dim=-1) for ours, theirs in axes) * distance.square()
     weight = (_OTHER_TIMES + torch.exp(-(prime / _PRIMING_WIDTH).square())) * valid
     return (missed * weight).sum() / weight.sum().clamp_min(_OTHER_TIMES)
 
 
-def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float) -> Float[Tensor, ""]:
+def foot_loss(predicted: Joints, recorded: Joints, valid: Kept, fps: float, shares: Shares = 1.0) -> Float[Tensor, ""]:
     """Squared steps of the toes between frames in which the recorded ones are planted."""
     stays = goals.still_steps(recorded, fps) & valid[:, 1:, None]
-    return (predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1) * stays).sum() / stays.sum().clamp_min(1)
+    slid = predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1) * stays
+    return (shares * slid.sum(dim=-1)).sum() / stays.sum().clamp_min(1)
 
 
-def wrist_loss(predicted: Joints, recorded: Joints, valid: Kept, n_frames: Counts, fps: float) -> Float[Tensor, ""]:
+def wrist_loss(
+    predicted: Joints, recorded: Joints, valid: Kept, n_frames: Counts, fps: float, shares: Shares = 1.0
+) -> Float[Tensor, ""]:
     """Squared distance of the wrists from the recorded ones at the end of the reach."""
     ending = valid & (torch.arange(predicted.shape[1], device=predicted.device) >= (n_frames[:, None] - _ENDING * fps))
-    missed = (predicted - recorded)[:, :, WRISTS].square().sum(dim=-1).mean(dim=-1)
+    missed = shares * (predicted - recorded)[:, :, WRISTS].square().sum(dim=-1).mean(dim=-1)
     return (missed * ending).sum() / ending.sum()
 
 
@@ -100,6 +106,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         noisiest_share: Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the
             uniform draw of the study. There alone the condition decides where a motion goes: afterwards the noisy
             motion shows it already.
+        noise_floor: Above 0, the losses of a sequence count 1 / (its share of noise + this): little noise leaves little
+            to miss, and would not be learnt. Not in the study.
         text_drop: Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1).
     """
 
@@ -110,11 +118,18 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     foot_loss_weight: float = 0.0
     wrist_loss_weight: float = 0.0
     noisiest_share: float = 0.0
+    noise_floor: float = 0.0
     text_drop: float = 0.2
 
 
 def losses(
-    objective: Objective, predicted: Features, clean: Features, predicted_joints: Joints, joints: Joints, padding: Kept
+    objective: Objective,
+    predicted: Features,
+    clean: Features,
+    predicted_joints: Joints,
+    joints: Joints,
+    padding: Kept,
+    shares: Shares = 1.0,
 ) -> dict[str, torch.Tensor]:
     """Return weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
 
@@ -127,6 +142,7 @@ def losses(
         predicted_joints: Decoded from the prediction, metres.
         joints: The recorded ones, same frame.
         padding: True where there is no frame; whatever stands there leaves no trace.
+        shares: Factors of the sequences' losses.
     """
     valid = ~padding
     error = predicted_joints - joints
@@ -138,7 +154,7 @@ def losses(
     }
     # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
     count = clean.shape[-1] * valid.sum(dim=1).sum()
-    parts = {name: summed.sum() / count for name, summed in sums.items()}
+    parts = {name: (shares * summed).sum() / count for name, summed in sums.items()}
     total = (
         parts["features"]
         + objective.joint_loss_weight * parts["joints"]
@@ -148,18 +164,21 @@ def losses(
     return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
 
 
-def _squared(error: Values, valid: Bool[torch.Tensor, "batch frames"]) -> Float[torch.Tensor, " batch"]:
+def _squared(error: Values, valid: Bool[torch.Tensor, "batch frames"]) -> Float[torch.Tensor, "batch 1"]:
     """Sum of the squares of each sequence over its valid frames."""
-    return torch.where(valid, error.square().flatten(2).sum(dim=2), 0.0).sum(dim=1)
+    return torch.where(valid, error.square().flatten(2).sum(dim=2), 0.0).sum(dim=1, keepdim=True)
 
 
-def scored_losses(objective: Objective, predicted: Joints, batch: MotionBatch) -> dict[str, torch.Tensor]:
+def scored_losses(
+    objective: Objective, predicted: Joints, batch: MotionBatch, shares: Shares = 1.0
+) -> dict[str, torch.Tensor]:
     """Return the weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
 
     Args:
         objective: The weights.
         predicted: Decoded joints, canonical frame, metres.
         batch: The recorded motion.
+        shares: Factors of the sequences' losses.
     """
     valid = ~batch.padding
     parts: dict[str, tuple[float, torch.Tensor]] = {}
@@ -167,12 +186,13 @@ def scored_losses(objective: Objective, predicted: Joints, batch: MotionBatch) -
         frame = torch.arange(predicted.shape[1], device=predicted.device)
         # Sequences begin a fixed time before the prime time (docs/specification/constants.md, `lead`).
         after_prime = frame / batch.fps - load_protocol().curation.lead
-        missed = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime)
+        missed = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime, shares)
         parts["ray"] = (objective.ray_loss_weight, missed)
     if objective.foot_loss_weight:
-        parts["feet"] = (objective.foot_loss_weight, foot_loss(predicted, batch.joints, valid, batch.fps))
+        slid = foot_loss(predicted, batch.joints, valid, batch.fps, shares)
+        parts["feet"] = (objective.foot_loss_weight, slid)
     if objective.wrist_loss_weight:
-        missed = wrist_loss(predicted, batch.joints, valid, batch.n_frames, batch.fps)
+        missed = wrist_loss(predicted, batch.joints, valid, batch.n_frames, batch.fps, shares)
         parts["wrists"] = (objective.wrist_loss_weight, missed)
     total = sum((weight * part for weight, part in parts.values()), predicted.new_zeros(()))
     return {"loss": total, **{name: part.detach() for name, (_, part) in parts.items()}}
@@ -231,7 +251,7 @@ class DiffusionTraining(TrainingModule):
         self.denoiser, self.scaling, self.texts = denoiser, scaling, texts
         self.objective, self.origin = objective, origin
         shape = denoiser.configuration
-        alphas_cumprod = torch.as_tensor(CosineSchedule(shape.diffusion_steps, shape.noise_power).alphas_cumprod)
+        alphas_cumprod = torch.as_tensor(SCHEDULES[shape.noise_schedule](shape.diffusion_steps).alphas_cumprod)
         self.mean: torch.Tensor
         self.std: torch.Tensor
         self.signal: torch.Tensor
@@ -258,8 +278,10 @@ class DiffusionTraining(TrainingModule):
                 joints = decode(goals.smoothed(features, batch.n_frames) if configuration.smoothed else features)
             else:
                 joints = goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
-            found = losses(self.objective, predicted.float(), clean, joints, batch.joints, batch.padding)
-            scored = scored_losses(self.objective, joints, batch)
+            floor = self.objective.noise_floor
+            shares = 1.0 if floor == 0 else 1.0 / (self.noise[draw.step].square()[:, None] + floor)
+            found = losses(self.objective, predicted.float(), clean, joints, batch.joints, batch.padding, shares)
+            scored = scored_losses(self.objective, joints, batch, shares)
             return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
     def standardised(self, batch: MotionBatch, condition: EncodedCondition) -> Features:

@@ -14,6 +14,7 @@ import numpy as np
 
 from prbench.datasets import ON_SYNTHETIC_DATA
 from prbench.errors import RunError, UsageError
+from prbench.geometry.skeleton import Joint
 from prbench.harness.agreement import Sides, agreement_with_people, pooled_agreement
 from prbench.harness.controls import Tasks, at_length, laid_on_goal, read_motions
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
@@ -246,7 +247,10 @@ def _pairs(
         laid = [together.joints[0]]
         for other in others:
             stretched = at_length(motions[tasks.sequence_ids[other]], together.joints.shape[1])
-            laid.append(laid_on_goal(stretched, tasks.goal_location[other], goal))
+            aside = laid_on_goal(stretched, tasks.goal_location[other], goal)
+            # The method is given where the motion starts, so people start there, too.
+            start = aside[0, Joint.PELVIS] * (1, 0, 1)
+            laid.append(aside - np.linspace(1, 0, len(aside))[:, None, None] * start)
         recorded = replace(together, joints=np.stack(laid)) if len(laid) == run.record.samples else None
         distances = np.linalg.norm(tasks.goal_location[others] - goal, axis=-1)
         lengths = np.abs(tasks.seconds[others] - tasks.seconds[row])

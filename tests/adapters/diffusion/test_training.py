@@ -83,6 +83,21 @@ def test_the_noisiest_steps_get_the_share_that_is_asked_for(data, batch):
     assert shares == pytest.approx([0.2, 0.5 + 0.5 * 0.2], abs=0.04)
 
 
+def test_with_a_floor_little_noise_weighs_more(data, batch):
+    """A miss weighs 1 / (share of noise + floor) beside one without a floor."""
+    plain, module = (build("pr-frames", data, noise_floor=floor) for floor in (0.0, 0.05))
+    clean = plain.standardised(batch, plain.condition(batch, plain.draw(batch, 0).without_text))
+    for step in (0, len(plain.noise) - 1):
+        found = []
+        for trained in (plain, module):
+            drawn = dataclasses.replace(trained.draw(batch, 0), step=torch.full((len(batch),), step))
+            trained.draw = lambda *_, drawn=drawn: drawn
+            trained.denoiser.forward = lambda *_: clean + 0.3
+            found.append({name: float(loss) for name, loss in trained(batch, 0).items()})
+        share = 1 / (float(plain.noise[step]) ** 2 + 0.05)
+        assert found[1] == pytest.approx({name: share * loss for name, loss in found[0].items()}, rel=1e-4)
+
+
 @pytest.mark.parametrize("name", ["pr", "pr-frames"])
 def test_conditions_know_nothing_of_the_frames_in_between(name, data, batch):
     """The firewall of training: what the network is told may not change with the motion that it shall find."""
