@@ -152,7 +152,7 @@ def test_noise_over_motion_grows_by_the_same_factor_in_each_geometric_step():
 
 
 def test_geometric_steps_of_second_order_keep_the_spread_of_what_shows_in_many_frames_at_once():
-    """Motions that differ by one number alone, their level: even with the best denoiser cosine steps lose its spread."""
+    """Motions that differ by one number alone, their level: even the best denoiser loses its spread in cosine steps."""
     frames, count = 100, 400
     start = torch.randn((count, frames, 1), generator=torch.Generator().manual_seed(0))
     noise = torch.Generator().manual_seed(1)
