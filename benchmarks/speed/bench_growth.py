@@ -43,9 +43,7 @@ WORKS = {
     "export conditions": "export-conditions --data {table} --condition goal-loc --out {out}/conditions.npz",
     "export release": "export-release {table} --out {out}/release",
     "iterate": "iterate {table}",
-    "one by id": "find_one {table}",
     "training store": "store {table} {out}/store",
-    "write": "rewrite {table} {out}/rewritten",
     "build": "build-dataset mogaze --root {recordings} --out {out}/built",
     "build windows": "build-windows mogaze --root {recordings} --out {out}/windows",
 }

@@ -110,23 +110,6 @@ def iterate(folder: str) -> None:
     print(frames)
 
 
-def find_one(folder: str) -> None:
-    """Look one sequence up by its id a hundred times."""
-    import prbench
-
-    table = prbench.open_table(folder)
-    wanted = table[len(table) // 2].sequence_id
-    for _ in range(100):
-        assert table[wanted].sequence_id == wanted
-
-
-def rewrite(folder: str, out: str) -> None:
-    """Write a table anew from its own rows, as a build puts its recordings together."""
-    table = SequenceTable.open(folder)
-    others: dict[str, Any] = {"events": table.events().to_batches(), "recordings": table.recordings().to_batches()}
-    write_dataset(Path(out), table.info, sequences=(chunk.batch for chunk in table.chunks()), **others)
-
-
 def store(folder: str, cache: str) -> None:
     """Make the feature store of a table and read every item once."""
     from prbench_adapters.training import SequenceDataset
@@ -136,7 +119,7 @@ def store(folder: str, cache: str) -> None:
 
 
 # What a child can do besides the commands of prbench, by name.
-WORKS = {work.__name__: work for work in (repeat_table, repeat_motions, iterate, find_one, rewrite, store)}
+WORKS = {work.__name__: work for work in (repeat_table, repeat_motions, iterate, store)}
 
 
 def main() -> int:

@@ -2,8 +2,6 @@
 
 A is the motion of the device between two instants, in the device's frame at the first; B that of the segment; X maps
 coordinates of the segment to those of the device. Worlds drop out, so that neither has to be known.
-
-:func:`closed_form` does what the published program does, without selection.
 """
 
 from __future__ import annotations
@@ -150,22 +148,3 @@ def refined(motions: Motions, x: Transform) -> Transform:
         return np.concatenate([turned.ravel() / _ROTATION_SCALE, moved.ravel() / _TRANSLATION_SCALE])
 
     return moved_by(least_squares(residuals, np.zeros(6), loss="soft_l1", x_scale="jac").x)
-
-
-def closed_form(
-    device: Float[np.ndarray, "n 3 4"], segment: Float[np.ndarray, "n 3 4"], *, stride: int = 2
-) -> Transform:
-    """Return X from all motions over ``stride`` frames, without weights or gates, as the published program does.
-
-    Args:
-        device: Poses [R | t] in the device's world, metres, at a steady rate.
-        segment: Poses of the segment in its own world at the same times.
-        stride: Frames between the two poses of a motion.
-    """
-    first = np.arange(len(device) - stride)
-    poses = [(Rotation.from_matrix(each[:, :, :3]), each[:, :, 3]) for each in (device, segment)]
-    motions = motions_between((first, first + stride), np.arange(len(device), dtype=float), *poses)
-    x = np.eye(4)
-    x[:3, :3], _ = rotation_of(motions)
-    x[:3, 3], _ = translation_of(motions, x[:3, :3])
-    return x

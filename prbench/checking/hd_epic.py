@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from prbench.checking.verify_synthetic import PRIMED_STAGES, Spread
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.readers import SYNTHETIC_PREFIX, AnnotationCounts, CountsAnnotations, reader_for
 from prbench.sequences import SequenceTable
@@ -20,6 +19,36 @@ from prbench.sequences import SequenceTable
 DATASET = "hd-epic"
 PUBLISHED_OUTCOMES: tuple[str, ...] = ("primed", "not_primed", "excluded", "not in the file")
 RULE_OUTCOMES: tuple[str, ...] = ("primed", "not_primed", "no_location")
+PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # stages at which it is known whether an event was primed
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A sample of differences, summarised; NaN for an empty one.
+
+    Attributes:
+        n: Size of the sample.
+        bias: Mean.
+        median: Median of the absolute values.
+        p95: 95th percentile of the absolute values.
+        largest: Largest absolute value.
+    """
+
+    n: int
+    bias: float
+    median: float
+    p95: float
+    largest: float
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Spread:
+        """Summarise signed differences."""
+        sample = np.array(list(values), dtype=np.float64)
+        if len(sample) == 0:
+            return cls(0, *(float("nan"),) * 4)
+        size = np.abs(sample)
+        largest = (float(np.quantile(size, 0.95)), float(size.max()))
+        return cls(len(sample), float(sample.mean()), float(np.median(size)), *largest)
 
 
 @dataclass(frozen=True)

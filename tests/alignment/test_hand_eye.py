@@ -8,10 +8,21 @@ from scipy.spatial.transform import Rotation
 
 from prbench.alignment.hand_eye import (
     Motions,
-    closed_form,
+    motions_between,
     rotation_of,
     translation_of,
 )
+
+
+def closed_form(device: np.ndarray, segment: np.ndarray, *, stride: int = 2) -> np.ndarray:
+    """X from all motions over ``stride`` frames, without weights or gates, as the published program does."""
+    first = np.arange(len(device) - stride)
+    poses = [(Rotation.from_matrix(each[:, :, :3]), each[:, :, 3]) for each in (device, segment)]
+    found = motions_between((first, first + stride), np.arange(len(device), dtype=float), *poses)
+    x = np.eye(4)
+    x[:3, :3], _ = rotation_of(found)
+    x[:3, 3], _ = translation_of(found, x[:3, :3])
+    return x
 
 
 @pytest.fixture

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import PRIMED_STAGES, Match, Spread, match_events, on_clock, true_events
+from prbench.checking.hd_epic import PRIMED_STAGES, Spread
 from prbench.curation import curate_recording
 from prbench.harness.synthetic_table import Staging
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.synthetic.performance import TrueEvent
 from prbench.synthetic.write_tree import TIMES
+from tests.checking.matching import Match, match_events, on_clock, true_events
 from tests.synthetic.true_clips import read_truth
 
 _SLACK = 1e-4  # Seconds by which clocks and rounding may move a sample

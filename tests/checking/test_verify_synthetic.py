@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import Match, Spread, match_events, true_events
+from prbench.checking.hd_epic import Spread
 from prbench.curation import build_dataset, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
@@ -40,6 +40,7 @@ from tests.checking.levels import (
     verify_level,
     verify_tree,
 )
+from tests.checking.matching import Match, match_events, true_events
 from tests.synthetic.behaviour import TARGETS
 
 SEED = 301

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.checking.verify_synthetic import match_events, true_events
 from prbench.cli.main import main
 from prbench.curation import curate_recording
 from prbench.curation.confidence import beyond, unbroken
@@ -22,6 +21,7 @@ from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people.perform import perform
 from prbench.viewing.explain import explain_event
+from tests.checking.matching import match_events, true_events
 from tests.curation.scenes import MANIFEST, PROTOCOL, clock, finger_path, hand, scene
 
 lengths = st.floats(-5, 5)

@@ -32,7 +32,6 @@ from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, measured_g
 Numbers = Float[np.ndarray, " n"]
 Microseconds = Int[np.ndarray, " n"]
 Points = Float[np.ndarray, "n 3"]
-EyePoints = Float[np.ndarray, "n 2 3"]
 
 POSE_RATE = 1000
 # Rows a second.

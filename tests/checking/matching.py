@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,6 @@ from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.write_tree import TIMES
 
 _LARGEST_DIFFERENCE = 0.5  # seconds between a found and a true event that may be the same
-PRIMED_STAGES = ("priming", "clipping", "body", "filters")  # stages at which it is known whether an event was primed
 
 
 @dataclass(frozen=True)
@@ -65,35 +64,6 @@ def match_events(true: Sequence[TrueEvent], found: Sequence[Event]) -> list[Matc
             taken.add(column)
     matches = [Match(event, found[partner[row]] if row in partner else None) for row, event in enumerate(true)]
     return matches + [Match(None, event) for column, event in enumerate(found) if column not in taken]
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A sample of differences, summarised; NaN for an empty one.
-
-    Attributes:
-        n: Size of the sample.
-        bias: Mean.
-        median: Median of the absolute values.
-        p95: 95th percentile of the absolute values.
-        largest: Largest absolute value.
-    """
-
-    n: int
-    bias: float
-    median: float
-    p95: float
-    largest: float
-
-    @classmethod
-    def of(cls, values: Iterable[float]) -> Spread:
-        """Summarise signed differences."""
-        sample = np.array(list(values), dtype=np.float64)
-        if len(sample) == 0:
-            return cls(0, *(float("nan"),) * 4)
-        size = np.abs(sample)
-        largest = (float(np.quantile(size, 0.95)), float(size.max()))
-        return cls(len(sample), float(sample.mean()), float(np.median(size)), *largest)
 
 
 def true_events(preset: str, performance: Performance) -> list[TrueEvent]:
