@@ -248,11 +248,11 @@ def require_settings(folder: Path, record: ShardRecord, now: dict[str, Any], *, 
 
 @cache
 def code_digest() -> str:
-    """Digest of the package's source files, so that what other code has made is never taken over."""
+    """Digest of the package's modules and tables, so that what other code has made is never taken over."""
     root = Path(prbench.__file__).parent
     # The version alone would not do: a working copy changes between releases.
     digest = hashlib.sha256(prbench.__version__.encode())
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted((*root.rglob("*.py"), *root.rglob("*.toml"))):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -6,8 +6,10 @@ Joint order and frames follow HumanML3D: metres, Y up, right-handed; a body that
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -274,41 +276,14 @@ def normalised(name: str) -> str:
     return re.sub(r"^mixamorig", "", re.sub(r"[ _\-.]", "", sided))
 
 
-def _table(**paired: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """For each of the 22 the names in use, written as :func:`normalised`."""
-    names: list[tuple[str, ...]] = [()] * N_JOINTS
-    names[Joint.PELVIS] = ("hips", "hip", "pelvis", "root")
-    names[Joint.NECK] = ("neck",)
-    names[Joint.HEAD] = ("head",)
-    names[Joint.SPINE1] = ("spine", "spine1")
-    names[Joint.SPINE2] = ("spine1", "spine2")
-    names[Joint.SPINE3] = ("spine2", "chest", "spine3", "upperchest")
-    for part, alternatives in paired.items():
-        for side in ("left", "right"):
-            names[Joint[f"{side}_{part}".upper()]] = tuple(f"{side}{name}" for name in alternatives)
-    return tuple(names)
+def _names_of(joint: Joint, sides: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the names in use of one of the 22, written as :func:`normalised`."""
+    side, _, part = joint.name.lower().partition("_")
+    return tuple(f"{side}{name}" for name in sides[part]) if part else tuple(_JOINT_NAMES["trunk"][side])
 
 
-# Both meanings of ``Shoulder`` are in use, so names are looked up in one whole table at a time.
+# The names that animation software gives the 22; the file explains its tables.
+_JOINT_NAMES = tomllib.loads(Path(__file__).with_name("joint_names.toml").read_text("utf-8"))
 _NAME_TABLES = {
-    "UpLeg, Leg, Foot, ToeBase; Shoulder, Arm, ForeArm, Hand": _table(
-        hip=("upleg", "upperleg", "thigh"),
-        knee=("leg", "lowerleg", "shin"),
-        ankle=("foot",),
-        foot=("toebase", "toe", "toes"),
-        collar=("shoulder", "collar", "clavicle"),
-        shoulder=("arm", "uparm", "upperarm"),
-        elbow=("forearm", "lowerarm"),
-        wrist=("hand",),
-    ),
-    "Hip, Knee, Ankle, Toe; Collar, Shoulder, Elbow, Wrist": _table(
-        hip=("hip",),
-        knee=("knee",),
-        ankle=("ankle",),
-        foot=("foot", "toe", "toebase"),
-        collar=("collar", "clavicle"),
-        shoulder=("shoulder",),
-        elbow=("elbow",),
-        wrist=("wrist",),
-    ),
+    convention: tuple(_names_of(joint, sides) for joint in Joint) for convention, sides in _JOINT_NAMES["sides"].items()
 }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import pprint
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -178,6 +179,11 @@ def _module(name: str) -> _Module:
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
         used = frozenset(one.id for one in ast.walk(node) if isinstance(one, ast.Name)) - defines
+        if "tomllib" in used:  # what a module reads from a file beside it is written out
+            (table,) = defines
+            value = getattr(importlib.import_module(name), table)
+            text = f"{table} = {pprint.pformat(value, width=118, sort_dicts=False)}"
+            used = frozenset()
         if isinstance(node, ast.Assign) and any(_FOR_TYPES_ONLY in module.outside.get(each, "") for each in used):
             # A name for a type of arrays stands in annotations alone.
             text = f"if TYPE_CHECKING:\n{textwrap.indent(text, '    ')}"

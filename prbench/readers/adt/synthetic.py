@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from prbench.files.storage import atomic_folder, write_bytes, write_json
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate, slerp
+from prbench.protocol.manifests import read_toml
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import prepared_trajectory, recording_from_adt
 from prbench.readers.aria_mps import format as mps
@@ -34,46 +36,13 @@ Joints = Float[np.ndarray, "n 22 3"]
 SuitJoints = Float[np.ndarray, "n 51 3"]
 FingerBases = Float[np.ndarray, "n 2 3"]
 
-_DIRECT = {
-    "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,
-    "LShoulder": Joint.LEFT_COLLAR, "LUArm": Joint.LEFT_SHOULDER, "LFArm": Joint.LEFT_ELBOW, "LHand": Joint.LEFT_WRIST,
-    "RShoulder": Joint.RIGHT_COLLAR, "RUArm": Joint.RIGHT_SHOULDER, "RFArm": Joint.RIGHT_ELBOW,
-    "RHand": Joint.RIGHT_WRIST,
-    "LThigh": Joint.LEFT_HIP, "LShin": Joint.LEFT_KNEE, "LFoot": Joint.LEFT_ANKLE, "LToe": Joint.LEFT_FOOT,
-    "RThigh": Joint.RIGHT_HIP, "RShin": Joint.RIGHT_KNEE, "RFoot": Joint.RIGHT_ANKLE, "RToe": Joint.RIGHT_FOOT,
-}  # fmt: skip
-# Straight fingers: base beside the middle-finger base (towards the thumb), and the two further joints along the hand.
-_FINGERS = {
-    "Thumb": (0.035, (-0.055, -0.030, -0.005)),
-    "Index": (0.022, (0.0, 0.042, 0.066)),
-    "Middle": (0.0, (0.0, 0.045, 0.072)),
-    "Ring": (-0.020, (0.0, 0.042, 0.067)),
-    "Pinky": (-0.038, (-0.006, 0.028, 0.047)),
-}
-_BODY_PARENTS = {
-    "Ab": "Skeleton", "Chest": "Ab", "Neck": "Chest", "Head": "Neck",
-    "LShoulder": "Chest", "LUArm": "LShoulder", "LFArm": "LUArm", "LHand": "LFArm",
-    "RShoulder": "Chest", "RUArm": "RShoulder", "RFArm": "RUArm", "RHand": "RFArm",
-    "LThigh": "Skeleton", "LShin": "LThigh", "LFoot": "LShin", "LToe": "LFoot",
-    "RThigh": "Skeleton", "RShin": "RThigh", "RFoot": "RShin", "RToe": "RFoot",
-}  # fmt: skip
-_FINGER_JOINTS = [name for name in adt.JOINT_NAMES if name[1:-1] in _FINGERS]
+# The suit: its joints, straight fingers, and the bones that bear markers; the file explains its tables.
+_SUIT = read_toml("prbench.readers.adt", "synthetic_suit.toml", dict[str, dict[str, Any]])
+_FINGER_JOINTS = [name for name in adt.JOINT_NAMES if name[1:-1] in _SUIT["fingers"]]
 # Maps each native joint to the joint at the other end of its bone; parents stand before their children.
-_PARENTS = _BODY_PARENTS | {
+_PARENTS = {name: row["parent"] for name, row in _SUIT["joints"].items() if "parent" in row} | {
     name: f"{name[0]}Hand" if name[-1] == "1" else f"{name[:-1]}{int(name[-1]) - 1}" for name in _FINGER_JOINTS
 }
-# Maps joints to the first joint of the rigid segment that they belong to.
-_RIGID_WITH = {
-    "Ab": "Skeleton", "LThigh": "Skeleton", "RThigh": "Skeleton",
-    "Neck": "Chest", "LShoulder": "Chest", "RShoulder": "Chest",
-} | {name: f"{name[0]}Hand" for name in _FINGER_JOINTS}  # fmt: skip
-_MARKED_BONES = (
-    ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
-    ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
-    ("RShoulder", "RUArm"), ("RUArm", "RFArm"), ("RFArm", "RHand"), ("RHand", "RMiddle1"),
-    ("Skeleton", "LThigh"), ("LThigh", "LShin"), ("LShin", "LFoot"), ("LFoot", "LToe"),
-    ("Skeleton", "RThigh"), ("RThigh", "RShin"), ("RShin", "RFoot"),
-)  # fmt: skip
 _MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
 RATE = 30.0  # Glasses, gaze and objects, Hz.
 _BODY_RATE = 120.0
@@ -190,7 +159,8 @@ def _sense_suit(
         shift += np.stack(slow, axis=1).reshape(shift.shape) * wandering
     native = with_rigid_bones(native, shift)
     # Three markers along each of 19 bones.
-    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
+    bones = [[adt.JOINT_NAMES.index(name) for name in bone] for bone in _SUIT["markers"]["bones"]]
+    first, second = np.array(bones).T
     share = np.array(_MARKERS_ALONG_BONE)[:, None]
     points = native[:, first, None] * (1 - share) + native[:, second, None] * share
     markers = points.reshape(len(native), adt.N_MARKERS, 3)
@@ -214,8 +184,8 @@ def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:
         finger_bases: Middle-finger bases, left and right.
     """
     native = np.zeros((len(joints), adt.N_NATIVE_JOINTS, 3))
-    for name, joint in _DIRECT.items():
-        native[:, adt.JOINT_NAMES.index(name)] = joints[:, joint]
+    for name, row in _SUIT["joints"].items():
+        native[:, adt.JOINT_NAMES.index(name)] = joints[:, Joint[row["joint"].upper()]]
     for side, letter in enumerate("LR"):
         elbow, wrist = (joints[:, joint + side] for joint in (Joint.LEFT_ELBOW, Joint.LEFT_WRIST))
         shoulder = joints[:, Joint.LEFT_SHOULDER + side]
@@ -225,7 +195,7 @@ def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:
         plane = np.cross(wrist - elbow, elbow - shoulder)
         is_bent = np.linalg.norm(plane, axis=-1, keepdims=True) > 1e-4
         aside = unit(np.cross(np.where(is_bent, plane, UP), along))
-        for finger, (beside, places) in _FINGERS.items():
+        for finger, (beside, places) in _SUIT["fingers"].items():
             for number, place in enumerate(places, start=1):
                 native[:, adt.JOINT_NAMES.index(f"{letter}{finger}{number}")] = base + beside * aside + place * along
     return native
@@ -234,7 +204,9 @@ def suit_joints(joints: Joints, finger_bases: FingerBases) -> SuitJoints:
 def suit_segments() -> Int[np.ndarray, "51"]:
     """Return which joints the suit shifts together: pelvis, chest and hands are rigid, every other joint is alone."""
     names = adt.JOINT_NAMES
-    return np.unique([names.index(_RIGID_WITH.get(name, name)) for name in names], return_inverse=True)[1]
+    first = {name: row.get("rigid_with", name) for name, row in _SUIT["joints"].items()}
+    first |= {name: f"{name[0]}Hand" for name in _FINGER_JOINTS}
+    return np.unique([names.index(first.get(name, name)) for name in names], return_inverse=True)[1]
 
 
 def with_rigid_bones(joints: SuitJoints, shifts: Float[np.ndarray, "n segments 3"]) -> SuitJoints:

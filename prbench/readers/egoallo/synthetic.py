@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from prbench.files.storage import atomic_path, write_text
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.geometry.timelines import interpolate, slerp
+from prbench.protocol.manifests import read_toml
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.egoallo import format as ego
 from prbench.representation.converters import RestJoints
@@ -32,30 +33,9 @@ from prbench.synthetic.sensors import Sensing, Switches
 _STATURE = 1.70  # of the template person, metres
 _UNIT = 0.05  # a shape number of 1 is this share of the template's length
 
-# Bones by the joint they end at, as shares of stature: x left, y up, z forward; a T pose. Left side; the right one is
-# its mirror image. Each group is one shape direction.
-_GROUPS: tuple[dict[Joint, tuple[float, float, float]], ...] = (
-    {Joint.LEFT_HIP: (0.036, 0.0, 0.0), Joint.LEFT_COLLAR: (0.041, 0.0, 0.0), Joint.LEFT_SHOULDER: (0.0695, 0.0, 0.0)},
-    {
-        Joint.LEFT_HIP: (0.0, -0.048, -0.006),
-        Joint.LEFT_COLLAR: (0.0, 0.0, -0.010),
-        Joint.LEFT_SHOULDER: (0.0, 0.012, -0.008),
-    },
-    {Joint.LEFT_KNEE: (0.0, -0.2252, 0.0)},
-    {Joint.LEFT_ANKLE: (0.0, -0.2466, 0.0)},
-    {Joint.LEFT_FOOT: (0.0, -0.036, 0.076)},
-    {Joint.SPINE1: (0.0, 0.0756, 0.0)},
-    {Joint.SPINE2: (0.0, 0.0823, 0.0)},
-    {Joint.SPINE3: (0.0, 0.033, 0.0)},
-    {Joint.SPINE1: (0.0, 0.0, -0.010), Joint.SPINE2: (0.0, 0.0, 0.004), Joint.SPINE3: (0.0, 0.0, 0.002)},
-    {Joint.NECK: (0.0, 0.126, 0.0)},
-    {Joint.NECK: (0.0, 0.0, -0.012)},
-    {Joint.LEFT_COLLAR: (0.0, 0.060, 0.0)},
-    {Joint.HEAD: (0.0, 0.0465, 0.0)},
-    {Joint.HEAD: (0.0, 0.0, 0.0368)},
-    {Joint.LEFT_ELBOW: (0.149, 0.0, 0.0)},
-    {Joint.LEFT_WRIST: (0.154, 0.0, 0.0)},
-)
+# Bones by the joint that they end at, a group a shape direction; the file says in which units.
+_BODY = read_toml("prbench.readers.egoallo", "template_body.toml", dict[str, list[dict[str, list[float]]]])
+_GROUPS = [{Joint[name.upper()]: bone for name, bone in group.items()} for group in _BODY["groups"]]
 _NECK_LENGTH = 0.0593
 _NECK_TILT = np.deg2rad(38.3)
 _HEAD_BONE = _NECK_LENGTH * np.array([0.0, np.cos(_NECK_TILT), np.sin(_NECK_TILT)])

@@ -9,10 +9,12 @@ of the hips to the middle of the shoulders, about 0.53 m in an adult. What each 
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Num
@@ -88,26 +90,12 @@ LIMBS: tuple[Joint, ...] = tuple(
     for side in ("LEFT", "RIGHT")
 )
 
-_HIPS = "0.5 left_hip + 0.5 right_hip"
-_SHOULDERS = "0.5 left_shoulder + 0.5 right_shoulder"
-_RULES: Mapping[str, str] = MappingProxyType(
-    {
-        "pelvis": f"{_HIPS} + 0.19 @up + 0.015 @forward",
-        "spine1": f"{_HIPS} + 0.385 @up - 0.03 @forward",
-        "spine2": f"{_HIPS} + 0.657 @up + 0.01 @forward",
-        "spine3": f"{_HIPS} + 0.767 @up + 0.03 @forward",
-        "neck": f"{_SHOULDERS} + 0.172 @up + 0.016 @forward",
-        "left_collar": "0.685 left_shoulder + 0.315 right_shoulder - 0.01 @up + 0.01 @forward",
-        "right_collar": "0.315 left_shoulder + 0.685 right_shoulder - 0.01 @up + 0.01 @forward",
-        "head": "neck + 0.104 @up + 0.119 @forward",
-        "left_foot": "left_ankle + 0.244 @ahead - 0.112 @above",
-        "right_foot": "right_ankle + 0.244 @ahead - 0.112 @above",
-    }
-)
+# What completes the 22 joints, and the skeletons that are known by name; the file explains its columns.
+_TABLES: Mapping[str, Any] = tomllib.loads(Path(__file__).with_name("named_skeletons.toml").read_text("utf-8"))
 
 # Maps each joint that may be missing to the rule that makes it; each rule needs only joints of earlier ones.
 COMPLETIONS: Mapping[Joint, Expression] = MappingProxyType(
-    {Joint[name.upper()]: parse_expression(rule, NAMES, where=name) for name, rule in _RULES.items()}
+    {Joint[name.upper()]: parse_expression(rule, NAMES, where=name) for name, rule in _TABLES["completions"].items()}
 )
 
 
@@ -264,131 +252,25 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
     return JointMap.of(name, names, {target: names[column] for target, column in zip(NAMES, columns) if column >= 0})
 
 
-def _paired(**parts: str) -> dict[str, str]:
-    """Both sides at once: ``hip="{}Hip"`` with L and R, or ``{side}`` for left and right."""
-    return {
-        f"{side}_{part}": text.format(side[0].upper(), side=side)
-        for part, text in parts.items()
-        for side in ("left", "right")
-    }
-
-
-_LIMBS = _paired(
-    hip="{side}_hip", knee="{side}_knee", ankle="{side}_ankle", shoulder="{side}_shoulder", elbow="{side}_elbow",
-    wrist="{side}_wrist",
-)  # fmt: skip
-_EARS = {"head": "0.5 left_ear + 0.5 right_ear - 0.05 @up"}
-_ANIMATION_LIMBS = {
-    f"{side}_{part}": f"{side.capitalize()}{name}"
-    for side in ("left", "right")
-    for part, name in (
-        ("hip", "UpLeg"), ("knee", "Leg"), ("ankle", "Foot"), ("foot", "ToeBase"), ("shoulder", "Arm"),
-        ("elbow", "ForeArm"), ("wrist", "Hand"),
-    )
-}  # fmt: skip
-_COCO = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
-    "right_ankle",
-)  # fmt: skip
-_BODY_25 = (
-    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-    "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",
-    "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel", "right_big_toe",
-    "right_small_toe", "right_heel",
-)  # fmt: skip
-_MEDIAPIPE = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
-    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
-    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)  # fmt: skip
-_NTU = (
-    "spine_base", "spine_mid", "neck", "head", "left_shoulder", "left_elbow", "left_wrist", "left_hand",
-    "right_shoulder", "right_elbow", "right_wrist", "right_hand", "left_hip", "left_knee", "left_ankle", "left_foot",
-    "right_hip", "right_knee", "right_ankle", "right_foot", "spine_shoulder", "left_hand_tip", "left_thumb",
-    "right_hand_tip", "right_thumb",
-)  # fmt: skip
-_H36M_17 = (
-    "hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "spine", "thorax", "neck",
-    "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist",
-)  # fmt: skip
-_H36M_32 = (
-    "Hips", "RightUpLeg", "RightLeg", "RightFoot", "RightToeBase", "RightToeSite", "LeftUpLeg", "LeftLeg",
-    "LeftFoot", "LeftToeBase", "LeftToeSite", "Spine", "Spine1", "Neck", "Head", "HeadSite", "LeftShoulder",
-    "LeftArm", "LeftForeArm", "LeftHand", "LeftHandThumb", "LeftThumbSite", "L_Wrist_End", "LeftHandSite",
-    "RightShoulder", "RightArm", "RightForeArm", "RightHand", "RightHandThumb", "RightThumbSite", "R_Wrist_End",
-    "RightHandSite",
-)  # fmt: skip
-_MIXAMO = (
-    "Hips", "Spine", "Spine1", "Spine2", "Neck", "Head", "LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand",
-    "RightShoulder", "RightArm", "RightForeArm", "RightHand", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase",
-    "RightUpLeg", "RightLeg", "RightFoot", "RightToeBase",
-)  # fmt: skip
-
-_OURS = {joint: joint for joint in NAMES}
 # The five kinematic chains of HumanML3D laid end to end, joints that two chains share standing in both.
 _CHAIN_JOINTS = [NAMES[joint] for chain in CHAINS for joint in chain]
 _CHAINS = [name if name not in _CHAIN_JOINTS[:place] else f"{name}_{place}" for place, name in enumerate(_CHAIN_JOINTS)]
+_KNOWN = {"humanml3d-chains": _CHAINS, "xsens-23": XSENS_SEGMENTS}  # names that stand elsewhere
 
 
-def _smpl(count: int) -> tuple[Sequence[str], Mapping[str, str]]:
-    """Skeletons whose first 22 joints are ours; what follows (hands, face, surface points) is left away."""
-    return (*NAMES, *(f"joint_{index}" for index in range(N_JOINTS, count))), _OURS
+def _named(name: str, row: Mapping[str, Any]) -> JointMap:
+    """Return the map of a row of the tables."""
+    joints = row["joints"] if "joints" in row else _KNOWN[name]
+    if isinstance(joints, int):
+        joints = (*NAMES, *(f"joint_{index}" for index in range(N_JOINTS, joints)))
+    given = dict(row.get("middle", {}))
+    for part, text in row.get("sides", {}).items():
+        for side in ("left", "right"):
+            given[f"{side}_{part}"] = text.format(side=side, Side=side.capitalize(), S=side[0].upper())
+    return JointMap.of(name, joints, given or {joint: joint for joint in NAMES})
 
-
-_SKELETONS: Mapping[str, tuple[Sequence[str], Mapping[str, str]]] = {
-    "humanml3d-22": _smpl(22),
-    "humanml3d-chains": (_CHAINS, _OURS),
-    "smpl-24": _smpl(24),
-    "smpl-45": _smpl(45),
-    "smplh-52": _smpl(52),
-    "smplh-73": _smpl(73),
-    "smplx-55": _smpl(55),
-    "smplx-127": _smpl(127),
-    "smplx-144": _smpl(144),
-    "coco-17": (_COCO, {**_LIMBS, **_EARS}),
-    "openpose-25": (
-        _BODY_25,
-        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"), **_EARS},
-    ),
-    "mediapipe-33": (
-        _MEDIAPIPE,
-        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.65 {side}_foot_index"), **_EARS},
-    ),
-    "ntu-25": (
-        _NTU,
-        {**_LIMBS, **_paired(foot="{side}_foot"), "neck": "neck", "head": "0.65 neck + 0.35 head + 0.08 @forward"},
-    ),
-    "h36m-17": (
-        _H36M_17,
-        {**_LIMBS, "neck": "0.35 thorax + 0.65 neck", "head": "0.9 neck + 0.1 head + 0.08 @forward"},
-    ),
-    "h36m-32": (
-        _H36M_32,
-        {**_ANIMATION_LIMBS, "neck": "0.35 Neck + 0.65 Head", "head": "0.9 Head + 0.1 HeadSite + 0.08 @forward"},
-    ),
-    "xsens-23": (
-        XSENS_SEGMENTS,
-        {
-            **_paired(
-                hip="{}_UpperLeg", knee="{}_LowerLeg", ankle="{}_Foot", foot="{}_Toe", collar="{}_Shoulder",
-                shoulder="{}_UpperArm", elbow="{}_Forearm", wrist="{}_Hand",
-            ),
-            "pelvis": "L5", "spine1": "L3", "spine2": "T12", "spine3": "T8", "neck": "Neck", "head": "Head",
-        },
-    ),
-    "mixamo": (
-        _MIXAMO,
-        {
-            **_ANIMATION_LIMBS, "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2",
-            "neck": "Neck", "head": "Head", "left_collar": "LeftShoulder", "right_collar": "RightShoulder",
-        },
-    ),
-}  # fmt: skip
 
 # All named maps.
 JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType(
-    {name: JointMap.of(name, joints, given) for name, (joints, given) in _SKELETONS.items()}
+    {name: _named(name, row) for name, row in _TABLES["skeletons"].items()}
 )

@@ -191,19 +191,10 @@ def of_second_world(person: Person, rng: np.random.Generator) -> Person:
     leg, arm = 1.0 + 0.03 * np.clip(rng.standard_normal(2), -2.0, 2.0)
     lengths = {"thigh": 0.245 * leg, "shin": 0.246 * leg, "upper_arm": 0.186 * arm, "forearm": 0.146 * arm}
     body = replace(person.body, **{name: float(share) * stature for name, share in lengths.items()})
-    habits = replace(
-        person.habits,
-        walk_speed=float(rng.uniform(0.85, 1.25)),
-        half_stance=float(rng.uniform(0.06, 0.10)),
-        goal_gain=float(rng.uniform(0.75, 0.92)),
-        head_lag=float(rng.uniform(0.03, 0.12)),
-        chest_share=float(rng.uniform(0.30, 0.50)),
-        pelvis_share=float(rng.uniform(0.20, 0.32)),
-        trunk_time=float(rng.uniform(0.18, 0.28)),
-        turn_rate=float(np.deg2rad(rng.uniform(50.0, 75.0))),
-        toe_clearance=float(rng.uniform(0.02, 0.04)),
-    )
-    return replace(person, body=body, habits=habits, manner=_SECOND)
+    # The order of the draws is that of the rows.
+    habits = {name: float(rng.uniform(*ends)) for name, ends in _ROWS["second_world"].items()}
+    habits["turn_rate"] = float(np.deg2rad(habits["turn_rate"]))
+    return replace(person, body=body, habits=replace(person.habits, **habits), manner=_SECOND)
 
 
 def _draw_body(preset: Preset, stature: float, rng: np.random.Generator) -> Body:
