@@ -38,15 +38,10 @@ def main() -> None:
         for job, settings in JOBS.items():
             data = SequenceDataset(tables, cache=Path(scratch) / "cache", **settings)
             for loaders in options.loaders:
-                rate = batches_a_second(data, options.batch, loaders)
+                batches = load_batches(data, LengthBatches(data, options.batch), workers=loaders)
+                ready = [time.perf_counter() for _ in islice(batches, _WARM_UP + _TIMED)]
+                rate = _TIMED / (ready[-1] - ready[_WARM_UP - 1])
                 print(f"{job}, {loaders} loaders: {rate:.0f} batches of {options.batch} a second")
-
-
-def batches_a_second(data: SequenceDataset, size: int, loaders: int) -> float:
-    """Time the batches that a training would be given."""
-    batches = load_batches(data, LengthBatches(data, size), workers=loaders)
-    ready = [time.perf_counter() for _ in islice(batches, _WARM_UP + _TIMED)]
-    return _TIMED / (ready[-1] - ready[_WARM_UP - 1])
 
 
 if __name__ == "__main__":

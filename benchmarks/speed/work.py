@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import timeit
-import tracemalloc
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from prbench.curation.priming import gaze_rays
 from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.scores import predictions_schema
-from prbench.metrics import STUDY_METRICS, MotionBatch, ScoringTargets, score
+from prbench.metrics import MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers.adt import find_recordings, read_recording
 from prbench.readers.adt import synthetic as layout
@@ -103,23 +102,17 @@ def time_curation() -> None:
 
 
 def time_metrics() -> None:
-    """Time scoring beside reading the scored files, and measure its memory."""
+    """Time scoring beside reading the scored files."""
     predicted, recorded, targets = _random_problem(_SEQUENCES)
     constants = load_protocol().metrics
-    of_study = partial(score, predicted, recorded, targets, constants, metrics=[info.id for info in STUDY_METRICS])
     with tempfile.TemporaryDirectory() as folder:
         pair = enumerate((predicted, recorded))
         files = [_write_motions(Path(folder) / f"{i}.parquet", motion) for i, motion in pair]
         rows = {
             "prbench: all metrics": timed(lambda: score(predicted, recorded, targets, constants), 5),
-            "prbench: the six of the study": timed(of_study, 5),
             "warm pq.read_table of both motion files": timed(lambda: [pq.read_table(file) for file in files], 5),
         }
     print_rows(f"scoring {_SEQUENCES:,} sequences, {len(predicted.values):,} frames", rows)
-    tracemalloc.start()
-    score(predicted, recorded, targets, constants)
-    print(f"peak memory of scoring beside the motions themselves: {tracemalloc.get_traced_memory()[1] / 1e6:.0f} MB")
-    tracemalloc.stop()
 
 
 def _random_problem(n: int) -> tuple[MotionBatch, MotionBatch, ScoringTargets]:
@@ -163,11 +156,7 @@ def time_startup() -> None:
     """Time the commands and print them beside their peers."""
     commands = {
         "prbench --help": ["-m", "prbench", "--help"],
-        "prbench run --help": ["-m", "prbench", "run", "--help"],
-        "prbench adapters list": ["-m", "prbench", "adapters", "list"],
-        "import prbench": ["-c", "import prbench"],
         "a bare click program, --help": ["-c", _BARE],
-        "python -c pass": ["-c", "pass"],
     }
     call = partial(subprocess.run, check=True, stdout=subprocess.DEVNULL)
     rows = {name: timed(partial(call, [sys.executable, *words]), 10) for name, words in commands.items()}
