@@ -116,7 +116,15 @@ def add_submission(
         try:
             submission = open_submission(file, arriving)
             draft = HistoryEntry.adding(submission, b"", date=date, reason=reason)
-            _require_new(board, draft)
+            # Refuse what stands on a board, takes a name from it, or was withdrawn and comes back without a word.
+            for other in board.standing.values():
+                if shared := draft.shared_with(other):
+                    remedy = "Withdraw it first, or submit something else."
+                    raise StorageError(f"{board.submission(other.id)}: has the same {shared}. {remedy}")
+            for added, gone in board.withdrawn.values():
+                if draft.shared_with(added) in ("files", "motions") and not draft.reason:
+                    when = f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}"
+                    raise StorageError(f"{when}. Say why it returns: --reason.")
             BoardFolder.open(path, (draft,))  # what could not be read again is refused before it is written
             _require_fitting(board.info, submission, arriving)
             verification = verify_submission(submission, arriving, data, engine=engine)
@@ -319,18 +327,6 @@ def _require_fitting(info: BoardInfo, submission: Submission, folder: Path) -> N
             if holds or DatasetSummary.read(run.dataset(table.dataset).path).hands_in_recordings:
                 what = f"run {name} of {submission.id}"
                 require_may_pass_on(ours, what, submission.permission, published=True)
-
-
-def _require_new(board: BoardFolder, entry: HistoryEntry) -> None:
-    """Refuse what stands on a board, takes a name from it, or was withdrawn and comes back without a word."""
-    for other in board.standing.values():
-        if shared := entry.shared_with(other):
-            remedy = "Withdraw it first, or submit something else."
-            raise StorageError(f"{board.submission(other.id)}: has the same {shared}. {remedy}")
-    for added, gone in board.withdrawn.values():
-        if entry.shared_with(added) in ("files", "motions") and not entry.reason:
-            when = f"{gone.id} was withdrawn on {gone.date}: {clean(gone.reason)}"
-            raise StorageError(f"{when}. Say why it returns: --reason.")
 
 
 def _with_pages(board: BoardFolder) -> BoardFolder:

@@ -88,9 +88,7 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     )
 
 
-def print_table(
-    title: str, header: Sequence[str], rows: Rows, *, numbers: Collection[int] = (), spaced: bool = False
-) -> None:
+def print_table(title: str, header: Sequence[str], rows: Rows, *, numbers: Collection[int] = ()) -> None:
     """Print rows under a header; on a terminal that is too narrow for whole words, one line a cell.
 
     Args:
@@ -98,7 +96,6 @@ def print_table(
         header: Names of the columns.
         rows: Cells, as many as there are names; a cell may have several lines.
         numbers: Columns that are set to the right.
-        spaced: Rows stand apart.
     """
     shown = [tuple(clean(cell, keep="\n") for cell in row) for row in rows]
     output = console()
@@ -112,7 +109,7 @@ def print_table(
         from rich import box
         from rich.table import Table
 
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
         for index, (name, width) in enumerate(zip(header, widths)):
             table.add_column(name, justify="right" if index in numbers else "left", overflow="fold", width=width)
         for row in shown:

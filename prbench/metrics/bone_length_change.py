@@ -31,22 +31,7 @@ def bone_length_change(
         The change (docs/specification/metrics.md#bone-length-change), and which sequences have a bone of zero length in
         that pose. Such a bone has no relative change and is left out.
     """
-    change, missing = change_of_each_bone(motion, poses)
-    return change.max(axis=0), np.asarray(missing.any(axis=0))
-
-
-def change_of_each_bone(
-    motion: MotionBatch, poses: Float[np.ndarray, "n 22 3"] | None = None
-) -> tuple[Float[np.ndarray, "21 n"], Bool[np.ndarray, "21 n"]]:
-    """Largest relative change of each bone against a pose, in the order of :data:`~prbench.geometry.skeleton.BONES`.
-
-    Args:
-        motion: Metres, any frame.
-        poses: See :func:`bone_length_change`.
-
-    Returns:
-        The change, 0 for a bone of zero length in that pose, and which bones have no length there.
-    """
+    # The largest change of each bone in any frame, from the squares of its lengths.
     parents, children = np.transpose(BONES)
     squared = motion.columns[children]
     squared -= motion.columns[parents]
@@ -59,7 +44,8 @@ def change_of_each_bone(
     shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
     missing = initial < _NO_LENGTH
     deviation = np.maximum(longest - initial, initial - shortest)
-    return np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial)), missing
+    change = np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial))
+    return change.max(axis=0), np.asarray(missing.any(axis=0))
 
 
 def body_length(motion: MotionBatch) -> Float[np.ndarray, " n"]:

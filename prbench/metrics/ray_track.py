@@ -63,7 +63,6 @@ class RayTrack:
         speed: Turn since the frame before, rad/s; NaN where that is unknown.
         usable: False where the ray itself is not to be trusted; such a frame is off target.
         direction: Unit vectors of the ray, canonical frame.
-        to_goal: Vector from the ray's origin to the goal, canonical frame, metres.
         row_of_frame_0: ``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame.
     """
 
@@ -72,7 +71,6 @@ class RayTrack:
     speed: Float[np.ndarray, " rows"]
     usable: Bool[np.ndarray, " rows"]
     direction: Float[np.ndarray, "rows 3"]
-    to_goal: Float[np.ndarray, "rows 3"]
     sequence: Int[np.ndarray, " rows"]
     row_of_frame_0: Int[np.ndarray, " n"]
 
@@ -160,7 +158,7 @@ def _track(
     along = (direction * to_goal).sum(axis=-1)
     distance = ray_distance(origin, direction, goal)
     angle = np.rad2deg(np.arctan2(across, along))
-    return RayTrack(distance, angle, speed, usable, direction, to_goal, sequence, row_of_frame_0)
+    return RayTrack(distance, angle, speed, usable, direction, sequence, row_of_frame_0)
 
 
 def ray_distance(

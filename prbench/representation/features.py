@@ -173,7 +173,13 @@ class StatisticsAccumulator:
             return False
         rows = features.astype(np.float64)
         mean = rows.mean(axis=0)
-        self._merge(len(rows), mean, ((rows - mean) ** 2).sum(axis=0))
+        count = len(rows)
+        # Join two portions by their counts, means and squares (Chan, Golub and LeVeque, 1983).
+        total = self._count + count
+        apart = mean - self._mean
+        self._mean = self._mean + apart * (count / total)
+        self._squares = self._squares + ((rows - mean) ** 2).sum(axis=0) + apart**2 * (self._count * count / total)
+        self._count = total
         return True
 
     def result(self) -> Statistics:
@@ -191,11 +197,3 @@ class StatisticsAccumulator:
             std[block] = each[block].mean()
         std[std < _CONSTANT] = 1.0
         return Statistics(self._mean.astype(np.float32), std.astype(np.float32))
-
-    def _merge(self, count: int, mean: np.ndarray, squares: np.ndarray) -> None:
-        """Join two portions by their counts, means and squares (Chan, Golub and LeVeque, 1983)."""
-        total = self._count + count
-        apart = mean - self._mean
-        self._mean = self._mean + apart * (count / total)
-        self._squares = self._squares + squares + apart**2 * (self._count * count / total)
-        self._count = total

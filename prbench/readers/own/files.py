@@ -121,11 +121,6 @@ def read_readings(found: RecordingFiles, about: own.About | None = None) -> Read
     return Readings(about, tables, paths.get("events", found.folder), events)
 
 
-def _numbering(path: Path) -> tuple[str, int]:
-    """Return what a row of a table is called in messages, and the number of the first one."""
-    return ("line", 2) if path.suffix == ".csv" else ("row", 1)
-
-
 def _known_columns(path: Path, name: str, about: own.About) -> tuple[str, ...]:
     """Return the known columns of a table; refuse one that lacks some, or contradicts what is stated."""
     required, *optional = own.columns_of(name, about)
@@ -192,7 +187,7 @@ def _read_events(path: Path, about: own.About) -> dict[str, dict[str, str]]:
 def _read_table(path: Path, name: str, about: own.About) -> Table:
     """Read the rows of one table in which something was measured; refuse it for whatever one table alone can tell."""
     cells = read_cells(path, _known_columns(path, name, about))
-    place, first = _numbering(path)
+    place, first = ("line", 2) if path.suffix == ".csv" else ("row", 1)
     refuse = partial(require_rows, path, place=place, first=first)
     numbers = [column for column in cells if column not in {"time", *own.TEXTS}]
     values = np.column_stack([np.zeros((len(next(iter(cells.values()))), 0)), *(cells[column] for column in numbers)])
