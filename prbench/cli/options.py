@@ -185,13 +185,11 @@ _RAY_OPTIONS = (
 )
 
 
-def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> Callable:
+def engine_options(*, help: str = "") -> Callable:
     """Add where work runs: ``--workers``, ``--engine``, ``--address`` …; the command gets one value, ``engine``.
 
     Args:
-        usual: Workers on this machine where ``--workers`` is not given.
         help: What ``--workers`` says in place of the default.
-        of: What the workers do, where a command does more than that.
     """
 
     def add(function: Callable) -> Callable:
@@ -204,7 +202,7 @@ def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> Callable:
                 raise UsageError("--address and --gpus-per-worker belong to --engine ray; add it, or leave them out.")
             return function(**given, engine=chosen["workers"])
 
-        said = help or f"Processes to use{of} (default {usual}; with --engine ray all processors); changes no result."
+        said = help or "Processes to use (default 1; with --engine ray all processors); changes no result."
         for option in (*_RAY_OPTIONS, workers_option(None, help=said)):
             with_choice = option(with_choice)
         return with_choice
