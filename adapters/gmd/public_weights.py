@@ -26,6 +26,7 @@ from prbench.files.arrays import load_array
 from prbench.files.bounded import foreign_input, require, require_size
 from prbench.files.storage import file_digest
 from prbench.limits import LARGEST_UNPACKED
+from prbench.protocol.manifests import read_toml
 from prbench.representation.features import N_FEATURES
 from prbench.text import CLIP
 from prbench_adapters.gmd.model import KIND, ROOT_XZ, FeatureSpace, GMDConfiguration, GMDNetworks, TemporalUNet
@@ -196,24 +197,7 @@ def _saving_anew(path: Path) -> str:
     return f"{sentence} and import tensors.pt."
 
 
-_RENAMED = (
-    (r"^time_embedding", "embed_timestep.time_embed"),
-    (r"^text_embedding", "embed_text"),
-    (r"^condition", "unet.time_mlp"),
-    (r"^head\.0\.convolution", "unet.final_conv.0.block.0"),
-    (r"^head\.0\.norm", "unet.final_conv.0.block.2"),
-    (r"^head\.1", "unet.final_conv.1"),
-    (r"^middle\.0", "unet.mid_block1"),
-    (r"^middle\.1", "unet.mid_block2"),
-    (r"^(down|up)\.(\d+)\.blocks\.(\d)", r"unet.\1s.\2.\3"),
-    (r"^(down|up)\.(\d+)\.resample", r"unet.\1s.\2.3.conv"),
-    (r"\.first\.convolution\.", ".blocks.0.block1.0."),
-    (r"\.first\.norm\.", ".blocks.0.block1.2."),
-    (r"\.second\.convolution\.", ".blocks.1.block.0."),
-    (r"\.second\.norm\.", ".blocks.1.block.2."),
-    (r"\.condition\.", ".time_mlp.1."),
-    (r"\.skip\.", ".residual_conv."),
-)
+_NAMES = read_toml("prbench_adapters.gmd", "public_names.toml", dict[str, list[tuple[str, str]]])
 _PADDING_STEP = 8
 _SUFFIX = ".safetensors"
 _CARD_VERSION = 1
@@ -374,6 +358,6 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
 
 def original_name(name: str) -> str:
     """Return the original's name of a parameter of :class:`prbench_adapters.gmd.model.TemporalUNet`."""
-    for pattern, replacement in _RENAMED:
+    for pattern, replacement in _NAMES["renamed"]:
         name = re.sub(pattern, replacement, name)
     return name

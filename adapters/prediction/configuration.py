@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from prbench.protocol.manifests import read_toml
 from prbench_adapters.training.configuration import require_within
 
 
@@ -111,22 +112,7 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         return 3 * self.nodes
 
 
-_HUMANMAC: dict[str, Any] = dict.fromkeys(("gaze", "encoder", "cross_attention"), False)
-_HUMANMAC |= {"diffusion_steps": 1000, "dropped": "vector"}
-_PRESETS: dict[str, dict[str, Any]] = {
-    "gazemodiff": {},
-    "gazemodiff-code": {"legacy_layout": True, "dropped": "vector"},
-    "gazemodiff-paper": {"encoder_width": 16, "encoder_heads": 8, "encoder_dropout": 0.3, "fusion_dropout": 0.3},
-    "no-graph-attention": {"fusion": "concatenation"},
-    "no-cross-attention": {"cross_attention": False},
-    "no-gaze-encoder": {"gaze_encoder": False},
-    "no-motion-encoder": {"pose_encoder": False},
-    "no-gaze": {"gaze": False},
-    "humanmac": {**_HUMANMAC, "condition_kept": 0.8},
-    "humanmac-gaze": {**_HUMANMAC, "condition_kept": 0.8, "gaze": True},
-    "humanmac-humaneva": {**_HUMANMAC, "condition_kept": 1.0, "condition_kept_sampling": 0.5},
-    "humanmac-h36m": {**_HUMANMAC, "condition_kept": 0.8, "coefficients": 20, "layers": 8},
-}
+_PRESETS = read_toml("prbench_adapters.prediction", "presets.toml", dict[str, dict[str, Any]])
 PRESETS = tuple(_PRESETS)  # Names of the configurations of the tables, the ablations, and the published programs.
 
 
