@@ -176,7 +176,19 @@ class SequenceDataset(Dataset[MotionItem]):
             raise UsageError(f"max_frames is {max_frames}; an item needs at least 2 frames.")
         given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)
         opened = [stores.open_table(table) for table in given]
-        self.fps = _common_frame_rate(opened, split)
+        # All tables have one frame rate, and are different ones.
+        if not opened:
+            raise UsageError("no table was given; name at least one built dataset or corpus.")
+        digests = [table.info.content_digest for table in opened]
+        if len(set(digests)) < len(digests):
+            twice = next(table for table in opened if digests.count(table.info.content_digest) > 1)
+            raise UsageError(f"{twice.folder}: this table was given twice.")
+        rates = {table.folder: stores.frame_rate(table, split) for table in opened}
+        if len(set(rates.values())) > 1:
+            found = ", ".join(f"{folder}: {rate:g}" for folder, rate in rates.items())
+            remedy = "Build them again with one --fps."
+            raise TableError(f"expected tables of one frame rate, found frames per second of {found}. {remedy}")
+        self.fps = next(iter(rates.values()))
         self.tables: tuple[stores.Table, ...] = tuple(opened)
         self.split, self.max_frames, self.seed = split, max_frames, seed
         self.mode: Mode = mode
@@ -281,19 +293,3 @@ def configured_dataset(
     """Return the sequences of a split, as a configuration wants them."""
     wanted: dict[str, Any] = {name: getattr(configuration.data, name) for name in ("max_frames", "crop", "mode")}
     return SequenceDataset(list(tables), split=split, **wanted, seed=configuration.training.seed, engine=engine)
-
-
-def _common_frame_rate(tables: list[stores.Table], split: str) -> float:
-    """Return the frame rate of all tables, which have to be different ones."""
-    if not tables:
-        raise UsageError("no table was given; name at least one built dataset or corpus.")
-    digests = [table.info.content_digest for table in tables]
-    if len(set(digests)) < len(digests):
-        twice = next(table for table in tables if digests.count(table.info.content_digest) > 1)
-        raise UsageError(f"{twice.folder}: this table was given twice.")
-    rates = {table.folder: stores.frame_rate(table, split) for table in tables}
-    if len(set(rates.values())) > 1:
-        found = ", ".join(f"{folder}: {rate:g}" for folder, rate in rates.items())
-        remedy = "Build them again with one --fps."
-        raise TableError(f"expected tables of one frame rate, found frames per second of {found}. {remedy}")
-    return next(iter(rates.values()))

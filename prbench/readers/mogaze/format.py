@@ -166,7 +166,6 @@ MODEL_OFFSETS: frozenset[str] = frozenset(
     for axis in _TRANSLATION_AXES[link if link in _TRANSLATION_AXES else link[1:]]
 )
 
-HEAD_FORWARD = (0.0, -1.0, 0.0)  # Forward direction of the face in the frame of the head link.
 # Columns: left, up and forward of the face in the frame of the head link.
 HEAD_FROM_CPF = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 

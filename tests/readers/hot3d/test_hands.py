@@ -10,6 +10,9 @@ from prbench.readers.hot3d import hands as umetrack
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.synthetic import finger_angles, synthetic_hand, wrist_rotation
 
+WRIST_LANDMARK = 5
+PALM_LANDMARK = 20
+
 RNG = np.random.default_rng(3)
 
 
@@ -79,7 +82,7 @@ def test_the_last_two_angles_move_nothing(model) -> None:
 def test_the_invented_hand_has_the_form_of_a_real_one(model) -> None:
     assert len(model.vertices) == 80
     assert model.weights.sum(axis=1) == pytest.approx(np.ones(80))
-    assert model.landmarks[umetrack.WRIST_LANDMARK] == pytest.approx(np.zeros(3))
+    assert model.landmarks[WRIST_LANDMARK] == pytest.approx(np.zeros(3))
     assert model.landmarks[11] == pytest.approx([0.08, 0.0016, 0.0]), "the middle finger begins 8 cm from the wrist"
     assert np.linalg.norm(model.joint_axes, axis=1) == pytest.approx(np.ones(umetrack.N_JOINTS))
 
@@ -93,7 +96,7 @@ def test_closing_the_hand_brings_the_finger_tips_towards_the_palm(model) -> None
     bones = umetrack.bone_transforms(model, finger_angles(np.array([0.0, 1.0])))
     origin, upright = np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1))
     tips = umetrack.pose_points(model.landmarks, model.landmark_weights, bones, origin, upright, mirrored=False)[:, 1:5]
-    palm = model.landmarks[umetrack.PALM_LANDMARK]
+    palm = model.landmarks[PALM_LANDMARK]
     opened, closed = np.linalg.norm(tips - palm, axis=2)
     assert (closed < opened - 0.01).all()
 
@@ -107,7 +110,7 @@ def test_the_hand_lies_along_the_performance_s_hand(model, side) -> None:
     landmarks = umetrack.pose_points(
         model.landmarks, model.landmark_weights, bones, np.zeros((1, 3)), rotation, mirrored=side == 1
     )[0]
-    middle_base, thumb, palm = landmarks[11], landmarks[6], landmarks[umetrack.PALM_LANDMARK]
+    middle_base, thumb, palm = landmarks[11], landmarks[6], landmarks[PALM_LANDMARK]
     assert middle_base[1] == pytest.approx(-0.08), "down"
     assert thumb[2] > 0.01, "forward"
     assert palm[0] * (1.0 if side == 0 else -1.0) < 0, "towards the body: left is +x"

@@ -12,7 +12,6 @@ from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import (
-    HEAD_FORWARD,
     HEAD_FROM_CPF,
     LINKS,
     MODEL_OFFSETS,
@@ -44,7 +43,8 @@ def test_positions_rotations_and_head_are_the_golden_ones(golden) -> None:
     positions, rotations = link_poses(golden["state"], _offsets(golden))
     assert positions == pytest.approx(golden["positions"], abs=1e-9)
     assert rotations == pytest.approx(golden["rotations"], abs=1e-9)
-    assert rotations[:, LINKS.index("head")] @ np.array(HEAD_FORWARD) == pytest.approx(golden["head_forward"], abs=1e-9)
+    forward = rotations[:, LINKS.index("head")] @ np.array(HEAD_FROM_CPF)[:, 2]
+    assert forward == pytest.approx(golden["head_forward"], abs=1e-9)
 
 
 def test_gaze_is_the_golden_one(golden) -> None:
@@ -131,7 +131,7 @@ def test_head_axes_are_left_up_and_forward() -> None:
     face = np.array(HEAD_FROM_CPF)
     assert face[:, 0].tolist() == [1, 0, 0]
     assert face[:, 1].tolist() == [0, 0, 1]
-    assert face[:, 2].tolist() == list(HEAD_FORWARD)
+    assert face[:, 2].tolist() == [0, -1, 0]
 
 
 @pytest.mark.parametrize(
