@@ -14,11 +14,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from prbench.errors import UsageError
+from prbench.protocol.manifests import load_protocol
 from prbench_adapters.dart import model as dart
 from prbench_adapters.dart.rollout import next_history
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
+from prbench_adapters.diffusion.training import foot_loss, ray_loss
 from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
 from prbench_adapters.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.training.configuration import require_within
@@ -41,15 +43,23 @@ class Window:
     Attributes:
         frames: All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F.
         valid: True for primitives that lie inside their motion, the step that leads on from their last frame included.
+        start: Number of the first frame in its motion, 0 for the frame before the motion's first.
+        goal: Goal location of each motion, canonical frame with Y up, metres; NaN for motions of a corpus.
     """
 
     frames: dart.Frames
     valid: Bool[Tensor, "batch primitives"]
+    start: Places
+    goal: Float[Tensor, "batch 3"]
 
     def primitive(self, number: int, future_frames: int) -> dart.Frames:
         """Cut out one primitive, in its own frame of reference."""
         start = number * future_frames
         return self.frames.part(start, start + dart.HISTORY_FRAMES + future_frames).canonical()[0]
+
+    def placement(self, number: int, future_frames: int) -> dart.Placement:
+        """Return the placement of a primitive's frame of reference in the motion's world."""
+        return dart.canonical_placement(self.frames.joints[:, number * future_frames])
 
 
 def window(
@@ -73,7 +83,8 @@ def window(
     # Where the last delta of each primitive leads to: one frame behind the primitive itself.
     numbers = torch.arange(1, primitives + 1, device=motions.device)
     ends = start[:, None] + dart.HISTORY_FRAMES + configuration.future_frames * numbers
-    return Window(dart.Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
+    frames = dart.Frames.of_joints(DART.from_y_up(joints))
+    return Window(frames, ends <= last[:, None], start, batch.goal_location[rows])
 
 
 def drawn_starts(
@@ -151,6 +162,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         consistency_weight: Weight of predicted joints against those that follow from predicted rotations.
         vae_delta_weight: Weight of predicted deltas against differences of predictions: translation, orientation and
             joints each.
+        ray_loss_weight: Weight of the miss of the head's axes (:func:`scored_losses`), m², in both phases; not in the
+            original.
+        foot_loss_weight: Weight of the squared steps of planted toes, m², likewise.
         text_drop: Share of motions whose text is hidden, so that guidance has an unconditional model.
     """
 
@@ -166,6 +180,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     vae_delta_weight: float = 100.0
     latent_weight: float = 1.0
     denoiser_delta_weight: float = 1e4
+    ray_loss_weight: float = 0.0
+    foot_loss_weight: float = 0.0
     text_drop: float = 0.1
 
     def __post_init__(self) -> None:
@@ -176,6 +192,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
                 raise ValueError(f"'{name}' must be three shares that sum to 1, found {shares}")
         optional = () if self.vae_batch_size is None else ("vae_batch_size",)
         require_within(self, "at least 1", "primitives", "windows", *optional)
+        require_within(self, "at least 0", "ray_loss_weight", "foot_loss_weight")
         require_within(self, "from 0 to 1", "text_drop")
 
 
@@ -222,6 +239,36 @@ def delta_loss(predicted: dart.Frames, history: dart.Frames) -> _PerMotion:
     )
 
 
+def scored_losses(shown: Float[Tensor, "batch primitives frames 22 3"], cut: Window, fps: float) -> dict[str, Tensor]:
+    """Losses of what the benchmark looks at, over all primitives of a window inside their motion.
+
+    Most primitives contain no prime time, so each frame is weighed by its own time in the sequence.
+
+    Args:
+        shown: The last frame of each primitive's history and the F predicted ones, motion's world with Y up, metres.
+        cut: The recorded window.
+        fps: Frames per second.
+
+    Returns:
+        ``ray`` (:func:`prbench_adapters.diffusion.training.ray_loss`), 0 for motions without a goal, and ``feet``
+        (:func:`prbench_adapters.diffusion.training.foot_loss`).
+    """
+    primitives, frames = shown.shape[1:3]
+    first = dart.HISTORY_FRAMES - 1 + (frames - 1) * torch.arange(primitives, device=shown.device)
+    places = first[:, None] + torch.arange(frames, device=shown.device)
+    # Each primitive is a motion of its own, because it goes on from the history that the network was given, which is
+    # the recorded one as often as the end of the primitive before.
+    predicted = shown.flatten(0, 1)
+    recorded = DART.to_y_up(cut.frames.joints[:, places]).flatten(0, 1)
+    valid = cut.valid.flatten()[:, None].expand(-1, frames)
+    goal = cut.goal.repeat_interleave(primitives, dim=0)
+    # Sequences begin a fixed time before the prime time; their first frame is number 1 of the motion.
+    seconds = (cut.start[:, None, None] + places - 1).flatten(0, 1) / fps - load_protocol().curation.lead
+    aimed = valid & torch.isfinite(goal).all(dim=-1, keepdim=True)
+    rays = ray_loss(predicted[:, 1:], recorded[:, 1:], goal, aimed[:, 1:], seconds[:, 1:])
+    return {"ray": rays, "feet": foot_loss(predicted, recorded, valid, fps)}
+
+
 def feedback(progress: float, stages: Shares) -> float:
     """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
     recorded, rising, _ = stages
@@ -262,6 +309,8 @@ class DartTraining(TrainingModule):
         super().__init__()
         self.vae, self.denoiser, self.texts = vae, denoiser, texts
         self.objective, self.data, self.origin = objective, data, origin
+        scored = {"ray": objective.ray_loss_weight, "feet": objective.foot_loss_weight}
+        self.scored = {name: weight for name, weight in scored.items() if weight}
         self.configuration, self.schedule = vae.configuration, CosineSchedule(vae.configuration.diffusion_steps)
         self.mean: Tensor
         self.std: Tensor
@@ -274,7 +323,8 @@ class DartTraining(TrainingModule):
         """Losses of consecutive primitives of each motion: of the VAE or of the denoiser, whichever's turn it is.
 
         Returns:
-            ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.training.PARTS`).
+            ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.training.PARTS`, and those of
+            :func:`scored_losses` that have a weight).
         """
         if torch.distributed.is_available() and torch.distributed.is_initialized():
             why = "dart is trained by one process, because only one of its two networks has gradients at a time;"
@@ -336,6 +386,7 @@ class DartTraining(TrainingModule):
         sums: dict[str, Tensor] = {}
         losses: dict[str, tuple[float, Tensor]] = {}
         own: dart.Frames | None = None
+        shown: list[Tensor] = []
         for number in range(weights.primitives):
             with torch.autocast(device.type, enabled=False):
                 recorded = cut.primitive(number, self.configuration.future_frames)
@@ -360,9 +411,16 @@ class DartTraining(TrainingModule):
                 predicted = scaling.frames(features.float())
                 reconstruction = huber(features.float(), future)
                 deltas = delta_loss(predicted, scaling.frames(history))
+                offsets = rest_offsets(recorded.joints[:, 0])
+                if self.scored:
+                    # The bodies of the rotations, as generation shows them.
+                    last = scaling.frames(torch.cat((history[:, -1:], features.float()), dim=1))
+                    bodies = forward_kinematics(last.rotations(), last.translation, offsets[:, None])
+                    placement = cut.placement(number, self.configuration.future_frames)
+                    shown.append(DART.to_y_up(placement.points(bodies)))
                 if text is None:
                     following = recorded.part(dart.HISTORY_FRAMES, recorded.joints.shape[1])
-                    body, consistency = body_losses(predicted, following, rest_offsets(recorded.joints[:, 0]))
+                    body, consistency = body_losses(predicted, following, offsets)
                     losses = {
                         "reconstruction": (1.0, reconstruction),
                         "divergence": (weights.kl_weight, divergence(mean.float(), log_variance.float())),
@@ -386,7 +444,14 @@ class DartTraining(TrainingModule):
         count = cut.valid.sum().clamp_min(1)
         parts = {name: total / count for name, total in sums.items()}
         loss = torch.stack([losses[name][0] * part for name, part in parts.items()]).sum()
-        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
+        found = {name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}
+        if self.scored:
+            with torch.autocast(device.type, enabled=False):
+                scored = scored_losses(torch.stack(shown, dim=1), cut, self.configuration.fps)
+            for name, weight in self.scored.items():
+                loss = loss + weight * scored[name]
+                found[name] = scored[name].detach()
+        return {"loss": loss, **found}
 
     @torch.no_grad()
     def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> dart.Frames:

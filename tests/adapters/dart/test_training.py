@@ -8,23 +8,29 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.dart.model import DartConfiguration, Frames
+from prbench.geometry.skeleton import TOES, Joint
+from prbench.protocol.manifests import load_protocol
+from prbench_adapters.dart import training
+from prbench_adapters.dart.model import DartConfiguration, FeatureScaling, Frames
 from prbench_adapters.dart.training import (
     DartTraining,
+    Window,
     body_losses,
     delta_loss,
     divergence,
     drawn_starts,
     feedback,
     primitives_of,
+    scored_losses,
     window,
 )
-from prbench_adapters.kinematics import rest_offsets
+from prbench_adapters.kinematics import DART, fitted_rotations, forward_kinematics, rest_offsets
 from prbench_adapters.training import SequenceDataset
 from prbench_adapters.training.configuration import OptimisationConfiguration
 from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.state import TrainingState
 from tests.adapters.trained import batch_of, build, saved, sequences
+from tests.fakes import STANDING
 
 CONFIGURATION = DartConfiguration()
 
@@ -105,6 +111,92 @@ def test_what_is_recorded_has_no_body_and_no_delta_loss(batch):
     moved = dataclasses.replace(future, joints=future.joints + 0.1)
     assert delta_loss(moved, history).min() > 1e-5  # it no longer begins where the history ends
     assert body_losses(moved, future, rest_offsets(future.joints[:, 0]))[1].min() > 1e-3
+
+
+def _standing(start: int, *, goal: float = 1.0) -> tuple[Window, torch.Tensor]:
+    """A window of two primitives of a body that stands still, and the same as a network would show it."""
+    body = torch.as_tensor(STANDING, dtype=torch.float32)
+    frames = Frames.of_joints(DART.from_y_up(body).expand(1, 19, 22, 3))
+    location = (body[Joint.HEAD] + torch.tensor([0.0, 0.0, goal]))[None]
+    cut = Window(frames, torch.ones(1, 2, dtype=torch.bool), torch.tensor([start]), location)
+    return cut, body.expand(1, 2, 9, 22, 3)
+
+
+@pytest.mark.parametrize("start", [0, 17, 40])
+def test_a_missed_ray_counts_by_the_time_of_its_frame_in_the_sequence(start):
+    """One frame's head hangs upside down: both of its axes are opposite to the recorded ones, a metre from the goal."""
+    cut, recorded = _standing(start)
+    lead = load_protocol().curation.lead
+    assert float(scored_losses(recorded, cut, 20.0)["ray"]) == 0.0
+    # The fourth frame that the second primitive adds; behind the history of 2 frames each adds 8.
+    turned = recorded.clone()
+    turned[:, 1, 4, Joint.HEAD] = 2 * turned[:, 1, 4, Joint.NECK] - turned[:, 1, 4, Joint.HEAD]
+    seconds = (start + 2 + np.arange(16) - 1) / 20.0 - lead
+    weights = 0.2 + np.exp(-((seconds / 0.75) ** 2))
+    expected = weights[8 + 3] * (2.0**2 + 2.0**2) / weights.sum()
+    assert float(scored_losses(turned, cut, 20.0)["ray"]) == pytest.approx(expected, rel=1e-4)
+    # The last frame of the history is given: nothing that a network predicts.
+    given = recorded.clone()
+    given[:, :, 0, Joint.HEAD] += 0.1
+    assert float(scored_losses(given, cut, 20.0)["ray"]) == 0.0
+
+
+def test_primitives_behind_the_end_and_motions_without_a_goal_miss_no_ray():
+    cut, recorded = _standing(17)
+    nodding = recorded.clone()
+    nodding[:, 1, :, Joint.HEAD, 2] += 0.1
+    assert float(scored_losses(nodding, cut, 20.0)["ray"]) > 0.0
+    outside = dataclasses.replace(cut, valid=torch.tensor([[True, False]]))
+    assert float(scored_losses(nodding, outside, 20.0)["ray"]) == 0.0
+    without = dataclasses.replace(cut, goal=torch.full((1, 3), torch.nan))
+    assert float(scored_losses(nodding, without, 20.0)["ray"]) == 0.0
+    # Nor do they thin out what the others miss.
+    twice = cut.frames.each(lambda values: values.expand(2, *values.shape[1:]))
+    both = Window(twice, cut.valid.expand(2, 2), cut.start.expand(2), torch.cat((cut.goal, without.goal)))
+    missed = scored_losses(nodding.expand(2, 2, 9, 22, 3), both, 20.0)["ray"]
+    assert torch.allclose(missed, scored_losses(nodding, cut, 20.0)["ray"])
+
+
+def test_planted_toes_are_to_stay_from_the_end_of_the_history_on():
+    cut, recorded = _standing(0)
+    sliding = recorded.clone()
+    sliding[:, 0, 1:, TOES[0], 0] += 0.02  # a single step, out of the first primitive's history
+    # 2 primitives with 8 steps of 2 toes each.
+    assert float(scored_losses(sliding, cut, 20.0)["feet"]) == pytest.approx(0.02**2 / 32, rel=1e-4)
+
+
+@pytest.mark.parametrize("step", [0, 40, 50, 90])
+def test_rays_and_feet_weigh_in_both_phases_and_otherwise_are_not_there(data, batch, step):
+    plain = build("dart", data)(batch, step)
+    module = build("dart", data, ray_loss_weight=2.0, foot_loss_weight=5.0)
+    found = module(batch, step)
+    assert set(found) - set(plain) == {"ray", "feet"}
+    parts = plain["loss"] + 2.0 * found["ray"] + 5.0 * found["feet"]
+    assert torch.allclose(found["loss"], parts, rtol=1e-5)
+    assert float(found["ray"]) > 0
+    only = build("dart", data, ray_loss_weight=2.0)(batch, step)
+    assert set(only) - set(plain) == {"ray"}
+
+
+def test_bodies_that_are_judged_stand_in_the_motions_world(data, batch, monkeypatch):
+    """A decoder that gives what was recorded shows the recorded bodies, if those have constant bones."""
+    module = build("dart", data, ray_loss_weight=1.0, primitives=3)
+    motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
+    offsets = rest_offsets(motions[:, 0])[:, None]
+    rigid = forward_kinematics(fitted_rotations(motions), motions[:, :, Joint.PELVIS], offsets)
+    rigid_batch = dataclasses.replace(batch, previous_joints=rigid[:, 0], joints=rigid[:, 1:])
+    starts = torch.tensor([0, 3, 7, 1])
+    cut = window(rigid_batch, torch.arange(4), starts, 3, CONFIGURATION)
+    scaling = FeatureScaling(module.mean, module.std)
+    futures = iter([scaling.standardised(cut.primitive(number, 8))[:, 2:] for number in range(3)])
+    judged = []
+    monkeypatch.setattr(module.vae, "decode", lambda latent, history: next(futures))
+    monkeypatch.setattr(training, "scored_losses", lambda shown, *_: judged.append(shown) or {"ray": shown.sum()})
+    module._losses(cut, None, 0.0, torch.Generator())
+    for row, start in enumerate(starts.tolist()):
+        for number in range(3):
+            first = start + 8 * number + 1  # the last frame of the history
+            assert torch.allclose(judged[0][row, number], rigid[row, first : first + 9], atol=1e-5)
 
 
 def test_divergence_worked_by_hand():
