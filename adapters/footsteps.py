@@ -27,9 +27,9 @@ SWING = 0.45
 _SHORTEST_SWING = 0.35
 _LONGEST_SWING = 0.8  # seconds; a foot that is on its way for longer glides
 # Metres to which a toe rises at least in the middle of a swing, and more for each metre of the step; choice, so that
-# finished motions of synthetic people of generator 3, smoothed as networks do, keep the lift of their toes. Networks
-# lift less, because the mean of many swings is lower than each.
-_LIFT = 0.04
+# toes of the bundled P&R rise as those of synthetic people of generator 3. Networks alone lift less, because the mean
+# of many swings is lower than each.
+_LIFT = 0.037
 _LIFT_SLOPE = 0.025
 # Metres that a toe may be away from where it is wanted before it swings; choice, about a foot's width.
 LAG = 0.1
@@ -37,7 +37,7 @@ _TURN = np.deg2rad(40)  # by which it may be turned away, too; choice
 _TWIST = np.deg2rad(45)  # by which it may while the body turns quickly; choice
 _URGENT = 1.5  # times as far away as that, a foot swings before one that the network swings; choice
 _SHUFFLE = 0.05  # metres; shorter ways are none of a swing; the judge of plausible motions says so, too
-_STILL = 0.2  # m/s, below which a foot stands: the protocol's ``slide_speed``
+_STILL = 0.08  # m/s, below which a foot stands; choice, so that finished motions of people keep their swing times
 _QUICK = 0.3  # m/s, and a fifth faster than the pelvis: a foot that swings
 _REST = 0.15  # seconds on the floor between two swings of a foot; choice
 _HIGHEST = 0.02  # metres above the floor at which a toe stands at most; choice, the highest of people's

@@ -272,9 +272,9 @@ def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettin
             if settings.sampler == "ddim":
                 clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
             else:
-                more = lambda _, noise=noise: noise.draw(columns)  # noqa: E731
-                geometric = model.configuration.noise_schedule == "geometric"
-                clean = sample_ddpm(denoise, model.schedule, start, more, steps=settings.steps, second_order=geometric)
+                clean = sample_ddpm(
+                    denoise, model.schedule, start, lambda _, noise=noise: noise.draw(columns), steps=settings.steps
+                )
             found = model.joints(clean, own, lengths, parts=settings.parts)
         joints[rows, : found.shape[1]] = found.cpu().numpy()
         passes += denoise.passes

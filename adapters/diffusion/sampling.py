@@ -132,13 +132,7 @@ class LinearSchedule(Chain):
 
 
 def sample_ddpm(
-    denoise: Denoise,
-    schedule: Chain,
-    start: State,
-    noise: _DrawNoise,
-    *,
-    steps: int | None = None,
-    second_order: bool = False,
+    denoise: Denoise, schedule: Chain, start: State, noise: _DrawNoise, *, steps: int | None = None
 ) -> State:
     """Ancestral sampling: a draw from the posterior in each step, its mean in the last.
 
@@ -148,21 +142,12 @@ def sample_ddpm(
         start: Standard normal noise, taken as the noisiest kept state.
         noise: Called once a step, the noisiest first, and not for the last.
         steps: How many to keep; all of them unless given.
-        second_order: Let the estimate go on as it changed in the step before (Lu et al. 2022, SDE-DPM-Solver++ 2M), so
-            that few steps keep the spread of motions that many would have.
     """
     chain = schedule.chain(len(schedule) if steps is None else steps)
-    clarity = np.log(chain.alphas_cumprod / (1 - chain.alphas_cumprod))
     state = start
-    before = start
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
-        estimate = denoise(state, index)
-        clean = estimate
-        if second_order and 0 < i < len(chain) - 1:
-            share = (clarity[i - 1] - clarity[i]) / (clarity[i] - clarity[i + 1])
-            clean = estimate + float(share / 2) * (estimate - before)
-        before = estimate
+        clean = denoise(state, index)
         state = float(chain.posterior_mean_clean[i]) * clean + float(chain.posterior_mean_noisy[i]) * state
         if i:
             state = state + math.sqrt(chain.posterior_variance[i]) * noise(index)

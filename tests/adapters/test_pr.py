@@ -58,8 +58,8 @@ def test_one_pass_is_combined_with_nothing_that_adds_or_saves_passes(few_steps, 
 
 
 def test_one_pass_is_refused_for_weights_of_many_steps(tmp_path):
-    features = {"architecture": "frames", "features": "goal-frame", "goal": "location", "diffusion_steps": 9}
-    with pytest.raises(AdapterError, match=r"1 to 8 network passes, but weights .*many\.safetensors need 9\. "):
+    features = {"architecture": "frames", "features": "goal-frame", "goal": "location", "diffusion_steps": 17}
+    with pytest.raises(AdapterError, match=r"1 to 16 network passes, but weights .*many\.safetensors need 17\. "):
         load(tiny.write(tmp_path / "many.safetensors", **features), options={"sampler": "one-pass"}, device="cpu")
 
 

@@ -151,17 +151,13 @@ def test_noise_over_motion_grows_by_the_same_factor_in_each_geometric_step():
     assert ratio[1:] / ratio[:-1] == pytest.approx(600 ** (1 / 15))
 
 
-def test_geometric_steps_of_second_order_keep_the_spread_of_what_shows_in_many_frames_at_once():
+def test_geometric_steps_keep_more_of_the_spread_of_what_shows_in_many_frames_at_once():
     """Motions that differ by one number alone, their level: even the best denoiser loses its spread in cosine steps."""
     frames, count = 100, 400
     start = torch.randn((count, frames, 1), generator=torch.Generator().manual_seed(0))
     noise = torch.Generator().manual_seed(1)
     spreads = []
-    for schedule, second_order in (
-        (GeometricSchedule(16), True),
-        (GeometricSchedule(16), False),
-        (CosineSchedule(4), False),
-    ):
+    for schedule in (GeometricSchedule(16), CosineSchedule(4)):
         alphas = torch.as_tensor(schedule.alphas_cumprod)
 
         def best(state, index, alphas=alphas):  # E[level | state] of a level of variance 1
@@ -169,11 +165,10 @@ def test_geometric_steps_of_second_order_keep_the_spread_of_what_shows_in_many_f
             return (told / (1 + (1 - alphas[index]) / alphas[index] / frames)).expand_as(state)
 
         draw = lambda _: torch.randn(start.shape, generator=noise)  # noqa: E731
-        levels = sample_ddpm(best, schedule, start, draw, second_order=second_order)[:, 0]
+        levels = sample_ddpm(best, schedule, start, draw)[:, 0]
         spreads.append(float(levels.std()))
-    assert spreads[0] == pytest.approx(1.0, abs=0.1)
-    assert spreads[1] < 0.9
-    assert spreads[2] < 0.5
+    assert spreads[0] > 0.7
+    assert spreads[1] < 0.5
 
 
 @pytest.mark.parametrize(
