@@ -164,7 +164,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             joints each.
         ray_loss_weight: Weight of the miss of the head's axes (:func:`scored_losses`), m², in both phases; not in the
             original.
-        foot_loss_weight: Weight of the squared steps of planted toes, m², likewise.
+        foot_loss_weight: Weight of the squared steps of planted toes, m², in both phases, too.
         text_drop: Share of motions whose text is hidden, so that guidance has an unconditional model.
     """
 

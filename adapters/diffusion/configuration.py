@@ -45,7 +45,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             training and in noise optimisation alike.
         text_tokens: One memory token per word piece, or their mean; the encoder architecture always takes the mean.
         dropped: Conditions that the model never sees, in training and later (*Prime and Reach*, table 3).
-        noise_schedule: Of :data:`.sampling.SCHEDULES`. Few steps of the published ``cosine`` leave out the noise in
+        noise_schedule: One of :data:`.sampling.SCHEDULES`. Few steps of the published ``cosine`` leave out the noise in
             which the pace of a whole motion is drawn, and the little noise in which the way of a wrist is.
         smoothed: Average neighbouring frames with weights 1, 2, 1 when HumanML3D's features are decoded, in training as
             well. That leaves a fifth of the jerk of independent errors; not in the study. Goal-frame features are

