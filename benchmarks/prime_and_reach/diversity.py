@@ -182,8 +182,8 @@ def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table
     if len(people) == len(method):
         goals_apart, lengths_apart = np.median(np.concatenate(apart), axis=0)
         said = (
-            "People: the sequence and similar tasks of other recordings, laid on its goal; an upper bound of what one"
-            f" task brings forth (goals {goals_apart:.2f} m apart in median, lengths {lengths_apart:.2f} s)."
+            "People: the sequence and similar tasks of other recordings, laid on its start and goal; an upper bound of"
+            f" what one task brings forth (goals {goals_apart:.2f} m apart in median, lengths {lengths_apart:.2f} s)."
         )
     else:
         people = []
@@ -249,8 +249,8 @@ def _pairs(
             stretched = at_length(motions[tasks.sequence_ids[other]], together.joints.shape[1])
             aside = laid_on_goal(stretched, tasks.goal_location[other], goal)
             # The method is given where the motion starts, so people start there, too.
-            start = aside[0, Joint.PELVIS] * (1, 0, 1)
-            laid.append(aside - np.linspace(1, 0, len(aside))[:, None, None] * start)
+            away = (aside - laid[0])[0, Joint.PELVIS] * (1, 0, 1)
+            laid.append(aside - np.linspace(1, 0, len(aside))[:, None, None] * away)
         recorded = replace(together, joints=np.stack(laid)) if len(laid) == run.record.samples else None
         distances = np.linalg.norm(tasks.goal_location[others] - goal, axis=-1)
         lengths = np.abs(tasks.seconds[others] - tasks.seconds[row])

@@ -127,8 +127,8 @@ def _foot(fan: Fan) -> str:
     if fan.shows_goal:
         said.append("Light blue: the goal.")
     if len(fan.groups) > 1:
-        said.append("Recorded people: the sequence itself and similar tasks of other recordings, laid on its goal and")
-        said.append("stretched to its length.")
+        said.append("Recorded people: the sequence itself and similar tasks of other recordings, laid on its start")
+        said.append("and goal, stretched to its length.")
     if fan.synthetic:
         said.append("Synthetic people.")
     return "\n".join((*textwrap.wrap(" ".join(said), 140), fan.notice)).strip()

@@ -88,6 +88,15 @@ def test_a_foot_swings_when_the_network_swings_it_and_longer_steps_rise_higher(f
     assert high[:, 0, 1].max() > rises[1] + 0.03, "a foot that is lifted higher rises higher"
 
 
+def test_a_swing_lasts_from_its_slow_begin_to_its_slow_end():
+    """The foot moves for ten frames, as hands and feet do: in the first and last two by less than 0.2 m/s."""
+    share = np.clip((np.arange(80) - 30) / 10, 0, 1)
+    body = gliding(speed=0.0)
+    body[:, [ANKLES[0], TOES[0]], 2] += (0.3 * share**3 * (10 - 15 * share + 6 * share**2))[:, None]
+    moved = np.flatnonzero(np.abs(np.diff(walked(body)[:, 0, 2])) > 1e-6)
+    assert len(moved) >= 9
+
+
 def test_a_foot_lies_where_it_landed_however_it_is_turned_until_that_is_too_much():
     body = gliding(speed=0.0)
     turns = np.deg2rad(np.linspace(0, 30, 80))

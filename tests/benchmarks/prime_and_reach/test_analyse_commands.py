@@ -12,11 +12,13 @@ import pytest
 
 from prbench.cli import main
 from prbench.contract import Condition
+from prbench.geometry.skeleton import Joint
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import Sequence, SequenceTable
+from prbench_benchmarks.prime_and_reach.diversity import read_fan
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 from tests.method_fixtures import adapter_source, install, own_cache
@@ -205,6 +207,9 @@ def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsy
         pictures.append(out.read_bytes())
     assert pictures[0] == pictures[1]
     assert len(pictures[0]) > 10_000
+    people = read_fan(tmp_path / "run", [table.folder], sequence=sequence).groups[1].motions.joints
+    assert np.ptp(people[:, 0, Joint.PELVIS, ::2], axis=0).max() < 1e-5, "all start where the method is told to start"
+    assert np.ptp(people[:, -1, Joint.PELVIS, ::2], axis=0).max() > 1e-3
 
 
 def test_a_run_that_cannot_be_measured_is_refused_with_what_to_do(table, tmp_path, install, capsys):
