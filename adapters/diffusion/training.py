@@ -29,6 +29,7 @@ from prbench_adapters.diffusion.goal_frame import Joints
 from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame, network, stored_scaling, stored_statistics
 from prbench_adapters.diffusion.sampling import SCHEDULES
 from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.dataset import Goal, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights, representation_entry, weights_header
@@ -93,6 +94,9 @@ def wrist_loss(
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The losses, which diffusion steps are trained, and how often the text is hidden.
 
+    Raises:
+        ValueError: for a negative number.
+
     Attributes:
         joint_loss_weight: Weight of L_joint in square metres; 0 trains on features alone (table S5).
         velocity_loss_weight: Weight of the squared error of joint displacements between neighbouring frames, m²; not in
@@ -120,6 +124,9 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     noisiest_share: float = 0.0
     noise_floor: float = 0.0
     text_drop: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_within(self, "at least 0", *self.__struct_fields__)
 
 
 def losses(

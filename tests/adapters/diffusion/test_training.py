@@ -98,6 +98,11 @@ def test_with_a_floor_little_noise_weighs_more(data, batch):
         assert found[1] == pytest.approx({name: share * loss for name, loss in found[0].items()}, rel=1e-4)
 
 
+def test_a_negative_weight_is_refused_by_name():
+    with pytest.raises(ValueError, match="'noise_floor'"):
+        Objective(noise_floor=-0.1)
+
+
 @pytest.mark.parametrize("name", ["pr", "pr-frames"])
 def test_conditions_know_nothing_of_the_frames_in_between(name, data, batch):
     """The firewall of training: what the network is told may not change with the motion that it shall find."""
