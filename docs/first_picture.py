@@ -17,7 +17,7 @@ from prbench.viewing.explain import explain_event
 from prbench.viewing.figures import draw_bodies, horizontal_direction, new_figure, styled, write_figure
 from prbench.viewing.replay.scene import BOX_COLOUR, GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, Scene, side_view
 
-EVENT = "6351551216726642/pick/54170553560"
+EVENT = "7647743538855037/pick/38655986175"
 PICTURE = Path(__file__).with_name("prime_and_reach.png")
 GAZE_ELSEWHERE = 0.8  # metres of the gaze ray that are drawn where the goal is not in front of the eyes
 UP = np.array([0.0, 1.0, 0.0])
@@ -51,7 +51,7 @@ def draw(scene: Scene, path: Path) -> None:
     sideways = horizontal_direction(location - start)
     goal = side_view(location, sideways, around=start)
     figure = new_figure(7.0, 4.0)
-    panels = figure.subplots(2, 2, gridspec_kw={"left": 0.0, "right": 1.0, "bottom": 0.0, "top": 0.94, "wspace": 0.0})
+    panels = figure.subplots(2, 2, gridspec_kw={"left": 0.02, "right": 1.0, "bottom": 0.0, "top": 0.94, "wspace": 0.0})
     for axes, (frame, title) in zip(panels.flat, moments, strict=True):
         axes.set_aspect("equal")
         axes.set(xlim=(-0.9, goal[0] + 0.6), ylim=(-0.3, 2.05))
