@@ -253,8 +253,8 @@ def allowed_values(error: msgspec.ValidationError, form: type) -> str:
     """Return a sentence for the end of a message, with a leading space, that lists the values a key may have.
 
     Args:
-        error: Of ``msgspec.convert``.
-        form: What was to be made.
+        error: The error that ``msgspec.convert`` raised.
+        form: The class that was to be made.
 
     Returns:
         The sentence; empty where the values are no list.
