@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -278,6 +279,41 @@ def feedback(progress: float, stages: Shares) -> float:
 
 
 _MEASURED_MOTIONS = 512
+_Latents = Float[Tensor, "batch 1 latent"]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A primitive of each motion, as the networks get it.
+
+    Attributes:
+        recorded: Its frames, in its own frame of reference.
+        history: Standardised features of the history, of some motions the end of what was just predicted.
+        future: Standardised features of the recorded future.
+    """
+
+    recorded: dart.Frames
+    history: Float[Tensor, "batch history 276"]
+    future: Float[Tensor, "batch future 276"]
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What the networks make of a primitive.
+
+    Attributes:
+        features: Standardised features of the future.
+        latent: The latent that they are decoded from, the denoiser's divided by the latents' deviation.
+        clean: The latent that the denoiser is to make.
+        mean: Mean of the latents of the recorded future.
+        log_variance: Logarithm of their variance.
+    """
+
+    features: Float[Tensor, "batch future 276"]
+    latent: _Latents
+    clean: _Latents
+    mean: _Latents
+    log_variance: _Latents
 
 
 class DartTraining(TrainingModule):
@@ -380,78 +416,112 @@ class DartTraining(TrainingModule):
         self, cut: Window, text: Tensor | None, share_of_own: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
         """Return the losses of the VAE, or with texts of the denoiser, averaged over primitives inside their motion."""
+        in_float32 = partial(torch.autocast, cut.valid.device.type, enabled=False)
         scaling = dart.FeatureScaling(self.mean, self.std)
-        weights = self.objective
-        device = cut.valid.device
         sums: dict[str, Tensor] = {}
-        losses: dict[str, tuple[float, Tensor]] = {}
-        own: dart.Frames | None = None
         shown: list[Tensor] = []
-        for number in range(weights.primitives):
-            with torch.autocast(device.type, enabled=False):
-                recorded = cut.primitive(number, self.configuration.future_frames)
-                given = scaling.standardised(recorded)
-                history, future = given[:, : dart.HISTORY_FRAMES], given[:, dart.HISTORY_FRAMES :]
-                # The future stays the recorded one, seen from the recorded history: the network learns to come back.
-                chosen = torch.rand(len(given), generator=generator).to(device) < share_of_own
-                if own is not None:
-                    history = torch.where(chosen[:, None, None], scaling.standardised(own), history)
-            mean, log_variance = self.vae.encode(history, future)
-            # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
-            clean = mean.detach() / self.latent_std
-            if text is None:
-                # Validation judges the mean latent, so that its numbers do not waver.
-                noise = _normal(mean.shape, generator, device) if self.training else torch.zeros_like(mean)
-                latent = mean + (0.5 * log_variance).exp() * noise
-                features = self.vae.decode(latent, history)
-            else:
-                latent = self.denoiser(*self._noisy(clean, generator), text, history)
-                features = self.vae.decode(latent * self.latent_std, history)
-            with torch.autocast(device.type, enabled=False):
-                predicted = scaling.frames(features.float())
-                reconstruction = huber(features.float(), future)
-                deltas = delta_loss(predicted, scaling.frames(history))
-                offsets = rest_offsets(recorded.joints[:, 0])
-                if self.scored:
-                    # The bodies of the rotations, as generation shows them.
-                    last = scaling.frames(torch.cat((history[:, -1:], features.float()), dim=1))
-                    bodies = forward_kinematics(last.rotations(), last.translation, offsets[:, None])
+        own: dart.Frames | None = None
+        for number in range(self.objective.primitives):
+            with in_float32():
+                given = self._given(cut, number, own, share_of_own, generator)
+            made = self._made(given, text, generator)
+            with in_float32():
+                predicted = scaling.frames(made.features.float())
+                losses, bodies = self._compared(given, made, predicted, of_vae=text is None)
+                for name, loss in losses.items():
+                    sums[name] = sums.get(name, 0.0) + torch.where(cut.valid[:, number], loss, 0.0).sum()
+                if bodies is not None:
                     placement = cut.placement(number, self.configuration.future_frames)
                     shown.append(DART.to_y_up(placement.points(bodies)))
                 if text is None:
-                    following = recorded.part(dart.HISTORY_FRAMES, recorded.joints.shape[1])
-                    body, consistency = body_losses(predicted, following, offsets)
-                    losses = {
-                        "reconstruction": (1.0, reconstruction),
-                        "divergence": (weights.kl_weight, divergence(mean.float(), log_variance.float())),
-                        "body": (weights.joint_weight, body),
-                        "consistency": (weights.consistency_weight, consistency),
-                        "deltas": (weights.vae_delta_weight, deltas),
-                    }
                     # Gradients do not run through the history: each primitive learns for itself.
                     own = next_history(predicted)[0].each(torch.Tensor.detach)
-                else:
-                    losses = {
-                        "latent": (weights.latent_weight, huber(latent.float(), clean.float())),
-                        "reconstruction": (1.0, reconstruction),
-                        "deltas": (weights.denoiser_delta_weight, deltas),
-                    }
-                for name, (_, loss) in losses.items():
-                    sums[name] = sums.get(name, 0.0) + torch.where(cut.valid[:, number], loss, 0.0).sum()
-            if text is not None and share_of_own > 0 and number + 1 < weights.primitives:
-                own = self._sampled_history(history, text, generator)
+            if text is not None and share_of_own > 0 and number + 1 < self.objective.primitives:
+                own = self._sampled_history(given.history, text, generator)
         # Over all primitives together, so that each one inside its motion weighs the same.
         count = cut.valid.sum().clamp_min(1)
-        parts = {name: total / count for name, total in sums.items()}
-        loss = torch.stack([losses[name][0] * part for name, part in parts.items()]).sum()
-        found = {name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}
+        found = self._weighed({name: total / count for name, total in sums.items()}, of_vae=text is None)
         if self.scored:
-            with torch.autocast(device.type, enabled=False):
+            with in_float32():
                 scored = scored_losses(torch.stack(shown, dim=1), cut, self.configuration.fps)
             for name, weight in self.scored.items():
-                loss = loss + weight * scored[name]
+                found["loss"] = found["loss"] + weight * scored[name]
                 found[name] = scored[name].detach()
-        return {"loss": loss, **found}
+        return found
+
+    def _given(
+        self, cut: Window, number: int, own: dart.Frames | None, share_of_own: float, generator: torch.Generator
+    ) -> _Given:
+        """Return a primitive of the window, which a share of the motions begins with its own end of the one before."""
+        scaling = dart.FeatureScaling(self.mean, self.std)
+        recorded = cut.primitive(number, self.configuration.future_frames)
+        features = scaling.standardised(recorded)
+        # The future stays the recorded one, seen from the recorded history: the network learns to come back.
+        history, future = features[:, : dart.HISTORY_FRAMES], features[:, dart.HISTORY_FRAMES :]
+        chosen = torch.rand(len(features), generator=generator).to(features.device) < share_of_own
+        if own is not None:
+            history = torch.where(chosen[:, None, None], scaling.standardised(own), history)
+        return _Given(recorded, history, future)
+
+    def _made(self, given: _Given, text: Tensor | None, generator: torch.Generator) -> _Made:
+        """Return the future as the VAE gives it back, or as the denoiser makes it for a text."""
+        mean, log_variance = self.vae.encode(given.history, given.future)
+        # The mean alone, divided by one number for all dimensions, as diffusion expects a variance near 1.
+        clean = mean.detach() / self.latent_std
+        if text is None:
+            # Validation judges the mean latent, so that its numbers do not waver.
+            noise = _normal(mean.shape, generator, mean.device) if self.training else torch.zeros_like(mean)
+            latent = mean + (0.5 * log_variance).exp() * noise
+            features = self.vae.decode(latent, given.history)
+        else:
+            latent = self.denoiser(*self._noisy(clean, generator), text, given.history)
+            features = self.vae.decode(latent * self.latent_std, given.history)
+        return _Made(features, latent, clean, mean, log_variance)
+
+    def _compared(
+        self, given: _Given, made: _Made, predicted: dart.Frames, *, of_vae: bool
+    ) -> tuple[dict[str, _PerMotion], Float[Tensor, "batch frames 22 3"] | None]:
+        """Compare the future that was made with the recorded one.
+
+        Returns:
+            Each part of the loss, and the bodies that :func:`scored_losses` looks at: those of the rotations, as
+            generation shows them, from the last frame of the history on; None where they have no weight.
+        """
+        scaling = dart.FeatureScaling(self.mean, self.std)
+        reconstruction = huber(made.features.float(), given.future)
+        deltas = delta_loss(predicted, scaling.frames(given.history))
+        offsets = rest_offsets(given.recorded.joints[:, 0])
+        bodies = None
+        if self.scored:
+            last = scaling.frames(torch.cat((given.history[:, -1:], made.features.float()), dim=1))
+            bodies = forward_kinematics(last.rotations(), last.translation, offsets[:, None])
+        if not of_vae:
+            latent = huber(made.latent.float(), made.clean.float())
+            return {"latent": latent, "reconstruction": reconstruction, "deltas": deltas}, bodies
+        following = given.recorded.part(dart.HISTORY_FRAMES, given.recorded.joints.shape[1])
+        body, consistency = body_losses(predicted, following, offsets)
+        losses = {
+            "reconstruction": reconstruction,
+            "divergence": divergence(made.mean.float(), made.log_variance.float()),
+            "body": body,
+            "consistency": consistency,
+            "deltas": deltas,
+        }
+        return losses, bodies
+
+    def _weighed(self, parts: dict[str, Tensor], *, of_vae: bool) -> dict[str, Tensor]:
+        """Return the weighted sum of the parts of the loss as ``loss``, and every part of either phase."""
+        objective = self.objective
+        weights = {
+            "reconstruction": 1.0,
+            "divergence": objective.kl_weight,
+            "body": objective.joint_weight,
+            "consistency": objective.consistency_weight,
+            "deltas": objective.vae_delta_weight if of_vae else objective.denoiser_delta_weight,
+            "latent": objective.latent_weight,
+        }
+        loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
+        return {"loss": loss} | {name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}
 
     @torch.no_grad()
     def _sampled_history(self, history: Tensor, text: Tensor, generator: torch.Generator) -> dart.Frames:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import torch
@@ -22,13 +22,12 @@ from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusi
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
 from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
-from prbench_adapters.training.task import TrainingModule, split_model_table
+from prbench_adapters.training.task import TrainingModule, converted, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights, start_from, weights_header
 from prbench_benchmarks.motion_prediction.batch import Condition
 
 # Whole windows: joints in metres, and the direction as the last node if there is one.
 Motion = Float[Tensor, "windows frames nodes 3"]
-_Struct = TypeVar("_Struct", bound=msgspec.Struct)
 _VALIDATION_SAMPLES = 5
 _TOGETHER = 64
 _MOST_WINDOWS = 4096  # Windows that statistics are taken from, spread evenly over the training split.
@@ -416,15 +415,3 @@ def _started(
             remedy = "Train it again on these, or change model.windows."
             raise UsageError(f"{start.path}: was trained on windows with {field} {then}, these have {now}. {remedy}")
     return start, old
-
-
-def converted(table: object, kind: type[_Struct], where: str) -> _Struct:
-    """Return a table of a configuration as a record.
-
-    Raises:
-        UsageError: for an unknown key or an impossible value; it begins with ``where``.
-    """
-    try:
-        return msgspec.convert(table, kind)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"[{where}]: {error}.") from error

@@ -14,13 +14,12 @@ from torch import Tensor, nn
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import rotation_matrices
 from prbench.randomness import named_generator
-from prbench_adapters.prediction.training import converted
 from prbench_adapters.three_points import features
 from prbench_adapters.three_points.diffusion import DiffusionConfiguration, TrackDiffusion, turned
 from prbench_adapters.three_points.regressor import Regressor, RegressorConfiguration
 from prbench_adapters.training.batches import DrawnDataset
 from prbench_adapters.training.store import parts_of
-from prbench_adapters.training.task import TrainingModule
+from prbench_adapters.training.task import TrainingModule, converted
 from prbench_adapters.training.weights import start_from, weights_header
 from prbench_benchmarks.three_points.batch import Condition
 from prbench_benchmarks.three_points.table import TracksTable

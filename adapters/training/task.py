@@ -18,6 +18,7 @@ import torch
 from torch import nn
 
 from prbench.errors import UsageError
+from prbench.files.bounded import allowed_values
 from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
@@ -180,7 +181,21 @@ def split_model_table(
     """
     trained_for = {key: value for key, value in model.items() if key in objective.__struct_fields__}
     described = {key: value for key, value in model.items() if key not in trained_for}
+    return converted(described, networks, "model"), converted(trained_for, objective, "model")
+
+
+def converted(table: object, kind: type[Networks], where: str) -> Networks:
+    """Return a table of a configuration as a record.
+
+    Args:
+        table: The table as it is in the TOML file.
+        kind: The record's class.
+        where: Name of the table, with which messages begin.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value, with those that it may have where they are a list.
+    """
     try:
-        return msgspec.convert(described, networks), msgspec.convert(trained_for, objective)
+        return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise UsageError(f"[model]: {error}.") from error
+        raise UsageError(f"[{where}]: {error}.{allowed_values(error, kind)}") from error

@@ -14,7 +14,7 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench_benchmarks.text_to_motion.metrics import Repeated
-    from prbench_benchmarks.text_to_motion.report import TextEvaluation
+    from prbench_benchmarks.text_to_motion.report import Retrieval, TextEvaluation
 
 _TITLES = {
     "r_precision_top_1": "R-precision top 1, %",
@@ -45,6 +45,11 @@ _TITLES = {
 @opt.number_option("--repetitions", "Repetitions of the measurement (default 20, with --multimodality 5).")
 @opt.number_option("--prompts", "Texts of each repetition (default 1000).", default=1000)
 @click.option("--multimodality", is_flag=True, help="Generate 30 motions for each of 100 texts as well.")
+@click.option(
+    "--retrieval",
+    is_flag=True,
+    help="R@1, R@5, R@10 and median rank among 32 and among all, from texts and from motions: slow for huge splits.",
+)
 @opt.number_option("--diversity-pairs", "Pairs of motions behind the diversity (default 300).", default=300)
 @click.option("--words", type=opt.PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
 @click.option("--text-path", metavar="DIR|ID", help="DistilBERT's files, if the evaluator reads with it.")
@@ -78,6 +83,16 @@ def _print(report: TextEvaluation, out: Path) -> None:
     )
     columns = range(1, len(report.rows) + 1)
     print_table(title, ("metric", *(row.source for row in report.rows)), table, numbers=columns)
+    rankings = [
+        (row.source, own.query, str(own.candidates), *_cells(own), *_cells(equal))
+        for row in report.rows
+        for own, equal in zip(row.retrieval[::2], row.retrieval[1::2])
+    ]
+    if rankings:
+        title = "retrieval, means of repetitions; on the right, all partners of the same caption are hits"
+        names = ("R@1, %", "R@5, %", "R@10, %", "median rank")
+        header = ("motions", "asked by", "among", *names, *(f"{name}\nsame caption" for name in names))
+        print_table(title, header, rankings, numbers=range(2, len(header)))
     print(f"written: {out}")
 
 
@@ -87,3 +102,8 @@ def _cell(name: str, value: Repeated | None) -> str:
     scale = 100.0 if name.startswith("r_precision") else 1.0
     spread = "" if value.half_width is None else f" ± {value.half_width * scale:.2f}"
     return f"{value.mean * scale:.2f}{spread}"
+
+
+def _cells(found: Retrieval) -> tuple[str, ...]:
+    shares = (found.r_at_1, found.r_at_5, found.r_at_10)
+    return (*(f"{share.mean:.2%}".removesuffix("%") for share in shares), f"{found.median_rank.mean:.1f}")

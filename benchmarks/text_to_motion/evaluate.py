@@ -1,4 +1,4 @@
-"""R-precision, FID, multimodal distance, diversity and multimodality on a table (Prime and Reach, section F)."""
+"""R-precision, FID, multimodal distance, diversity, multimodality and retrieval on a table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from prbench_benchmarks.text_to_motion import clips as clips_of
 from prbench_benchmarks.text_to_motion import metrics
 from prbench_benchmarks.text_to_motion.clips import Draw, Extractor, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
-from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
+from prbench_benchmarks.text_to_motion.report import ResultRow, Retrieval, TextEvaluation
 from prbench_benchmarks.text_to_motion.training import load_evaluator
 
 _REPETITIONS = 20
@@ -49,6 +49,7 @@ class TextEvaluationRequest:
         options: Options of the method.
         batch_size: Motions that the method makes at once.
         repetitions: Number of repetitions; by default 20, and 5 with multimodality.
+        retrieval: Rank texts and motions among all pairs as well.
         prompts: Prompts that a method is given in a repetition; fewer if there are fewer.
     """
 
@@ -62,6 +63,7 @@ class TextEvaluationRequest:
     batch_size: int = 64
     repetitions: int | None = None
     multimodality: bool = False
+    retrieval: bool = False
     prompts: int = _PROMPTS
     diversity_pairs: int = metrics.DIVERSITY_PAIRS
     seed: int = 0
@@ -78,10 +80,16 @@ class TextEvaluationRequest:
 
 @dataclass
 class _Row:
-    """The repetitions of one row so far."""
+    """The repetitions of one row so far.
 
+    Attributes:
+        with_retrieval: Measure retrieval in every repetition.
+    """
+
+    with_retrieval: bool
     values: dict[str, list[float]] = field(default_factory=dict)
     rankings: list[metrics.RPrecision] = field(default_factory=list)
+    retrievals: list[metrics.Retrieved] = field(default_factory=list)
     motions: int = 0
 
     def add(self, pairs: metrics.EmbeddedPairs, more: dict[str, float]) -> None:
@@ -92,10 +100,17 @@ class _Row:
         for name, value in (measured | more).items():
             self.values.setdefault(name, []).append(value)
         self.rankings.append(ranking)
+        if self.with_retrieval:
+            self.retrievals.append(metrics.retrieval(pairs))
         self.motions = len(pairs.captions)
 
     def result(self, source: str, **of_method: Any) -> ResultRow:
         """Return the row after at least one repetition."""
+        retrieval = []
+        for query, candidates, hit in self.retrievals[0] if self.retrievals else ():
+            measured = [each[query, candidates, hit] for each in self.retrievals]
+            numbers = {name: metrics.Repeated.of([one[name] for one in measured]) for name in metrics.RETRIEVAL}
+            retrieval.append(Retrieval(query=query, candidates=candidates, hit=hit, **numbers))
         return ResultRow(
             source=source,
             metrics={name: metrics.Repeated.of(self.values[name]) for name in metrics.METRICS if name in self.values},
@@ -104,6 +119,7 @@ class _Row:
             dropped_pairs=self.rankings[-1].n_dropped,
             duplicate_captions=float(np.mean([each.n_duplicates for each in self.rankings])),
             repetitions=len(self.rankings),
+            retrieval=tuple(retrieval),
             **of_method,
         )
 
@@ -238,9 +254,9 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         )
     texts = dict(zip(read.captions(), evaluator.embed_texts(read.captions())))
     passes = _Passes(request, evaluator, read.clips, supported, texts, adapter)
-    real = _Row()
-    mismatched = _Row()
-    made = _Row()
+    real = _Row(request.retrieval)
+    mismatched = _Row(request.retrieval)
+    made = _Row(request.retrieval)
     for repetition in range(request.chosen_repetitions):
         # All rows are compared with the same pass over the recorded motions, one of its own: against the same crops,
         # real motion would get an FID of 0.

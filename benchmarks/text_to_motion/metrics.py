@@ -1,4 +1,4 @@
-"""The text-to-motion metrics (FID, matching distance, R-precision, diversity, multimodality); one repetition of all."""
+"""The text-to-motion metrics (FID, R-precision, retrieval, diversity …); one repetition of all."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.distance import cdist
 
 Embeddings = Float[np.ndarray, "pairs dimension"]
 Rows = Float[np.ndarray, "*rows dimension"]
@@ -137,22 +138,87 @@ def r_precision(text: Embeddings, motion: Embeddings, captions: Sequence[str] | 
     Raises:
         ValueError: if there are fewer than 32 pairs.
     """
-    n = len(text) // BATCH * BATCH
-    if n == 0:
+    if len(text) < BATCH:
         raise ValueError(f"R-precision needs at least {BATCH} pairs, found {len(text)}")
-    ranks = []
-    duplicates = 0
-    for start in range(0, n, BATCH):
-        part = slice(start, start + BATCH)
-        # Differences, not the expanded square, whose cancellation would break ties by rounding.
-        difference = text[part, None].astype(np.float64) - motion[None, part].astype(np.float64)
-        distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
-        # Other motions that are as near to each text as its own, or nearer.
-        ranks.append((distances <= distances.diagonal()[:, None]).sum(axis=1) - 1)
-        if captions is not None:
-            duplicates += sum(count for count in Counter(captions[part]).values() if count > 1)
-    top = np.array([np.mean(np.concatenate(ranks) < k) for k in range(1, TOP + 1)])
+    names = range(len(text)) if captions is None else captions
+    own = ranks(text, motion, names, candidates=BATCH)[0, 0]
+    n = len(own)
+    batches = (Counter(names[start : start + BATCH]) for start in range(0, n, BATCH))
+    duplicates = sum(count for batch in batches for count in batch.values() if count > 1)
+    top = np.array([np.mean(own <= k) for k in range(1, TOP + 1)])
     return RPrecision(top, n, len(text) - n, duplicates)
+
+
+_QUERIES_AT_ONCE = 512  # Bounds the memory for distances to a whole split.
+
+
+def ranks(
+    text: Embeddings, motion: Embeddings, captions: Sequence[str] | Sequence[int], *, candidates: int
+) -> Int[np.ndarray, "2 2 ranked"]:
+    """Rank motions for each text and texts for each motion, among the pairs of a batch; the nearest has rank 1.
+
+    Whatever is exactly as near as a hit counts as nearer, so that equal embeddings earn nothing.
+
+    Args:
+        text: Embeddings of the texts.
+        motion: Embeddings of the motions; row i belongs to text i.
+        captions: The texts.
+        candidates: Pairs of a batch; the last, incomplete batch is left out.
+
+    Returns:
+        First axis: texts ask, motions ask. Second axis: rank of the query's own partner, and rank of the nearest
+        partner with the same caption, before which only others are counted. Third axis: whole batches only.
+
+    Raises:
+        ValueError: if an embedding is not finite.
+    """
+    if not (np.isfinite(text).all() and np.isfinite(motion).all()):
+        raise ValueError("retrieval: an embedding is not finite")
+    _, codes = np.unique(captions, return_inverse=True)
+    starts = range(0, len(text) // candidates * candidates, candidates)
+    batches = [slice(start, start + candidates) for start in starts]
+    for_texts = [_ranks_in_batch(text[batch], motion[batch], codes[batch]) for batch in batches]
+    for_motions = [_ranks_in_batch(motion[batch], text[batch], codes[batch]) for batch in batches]
+    return np.stack([np.concatenate(found, axis=1) for found in (for_texts, for_motions)])
+
+
+def _ranks_in_batch(queries: Embeddings, asked: Embeddings, codes: Int[np.ndarray, " pairs"]) -> np.ndarray:
+    """Return the two ranks of each query (2, queries) among what is asked; equal codes stand for equal captions."""
+    found = np.empty((2, len(queries)), dtype=np.int64)
+    for start in range(0, len(queries), _QUERIES_AT_ONCE):
+        part = slice(start, start + _QUERIES_AT_ONCE)
+        # Of differences, not of the expanded square, whose cancellation would break ties by rounding.
+        distances = cdist(queries[part], asked)  # float64
+        same = codes[part, None] == codes
+        own = distances.diagonal(start)[:, None]
+        nearest = np.where(same, distances, np.inf).min(axis=1, keepdims=True)
+        found[0, part] = (distances <= own).sum(axis=1)
+        found[1, part] = 1 + ((distances <= nearest) & ~same).sum(axis=1)
+    return found
+
+
+_RECALLS = {"r_at_1": 1, "r_at_5": 5, "r_at_10": 10}  # Among so many of the nearest.
+_MEDIAN_RANK = "median_rank"
+RETRIEVAL = (*_RECALLS, _MEDIAN_RANK)
+Retrieved = dict[tuple[str, int, str], dict[str, float]]
+
+
+def retrieval(pairs: EmbeddedPairs) -> Retrieved:
+    """Measure retrieval in both directions (docs/specification/text-to-motion-eval.md#retrieval).
+
+    Returns:
+        Maps what asks (``text`` or ``motion``), the number of candidates (32, and all pairs) and what counts as a hit
+        (``own`` or ``same caption``) to the shares of queries with a hit among the nearest 1, 5 and 10, and to the
+        median rank of the first hit. Where there are just 32 pairs, both numbers of candidates are one.
+    """
+    found = {}
+    for candidates in (BATCH, len(pairs.captions)):
+        ranked = ranks(pairs.text, pairs.motion, pairs.captions, candidates=candidates)
+        for query, of_query in zip(("text", "motion"), ranked):
+            for hit, of_hit in zip(("own", "same caption"), of_query):
+                measured = {name: float(np.mean(of_hit <= k)) for name, k in _RECALLS.items()}
+                found[query, candidates, hit] = measured | {_MEDIAN_RANK: float(np.median(of_hit))}
+    return found
 
 
 R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))

@@ -21,6 +21,28 @@ from prbench_benchmarks.text_to_motion.metrics import Repeated
 SCHEMA_VERSION = 1
 
 
+class Retrieval(msgspec.Struct, frozen=True, kw_only=True):
+    """How well texts find their motions, or motions their texts.
+
+    Attributes:
+        query: What asks: ``text`` or ``motion``.
+        candidates: Number of pairs ranked together: 32, or all of a repetition.
+        hit: What counts as a hit: the ``own`` partner, or any with the ``same caption``.
+        r_at_1: Share of queries whose nearest candidate is a hit, from 0 to 1.
+        r_at_5: The same for a hit among the nearest five.
+        r_at_10: The same for a hit among the nearest ten.
+        median_rank: Median over queries of the first hit's rank, from 1.
+    """
+
+    query: str
+    candidates: int
+    hit: str
+    r_at_1: Repeated
+    r_at_5: Repeated
+    r_at_10: Repeated
+    median_rank: Repeated
+
+
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     """Real motions, real motions with other texts, or a method's motions.
 
@@ -36,6 +58,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
         weights_sha256: Digest of the method's weights; null without weights.
         options: Options of the method.
         unsupported: Number of clips that are longer than the method can generate.
+        retrieval: Retrieval in both directions; empty unless it was asked for.
     """
 
     source: str
@@ -48,6 +71,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     weights_sha256: str | None = None
     options: dict[str, str] = {}
     unsupported: int = 0
+    retrieval: tuple[Retrieval, ...] = ()
 
 
 class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,6 +10,7 @@ message that a damaged file deserves, so that no list of exceptions has to be co
 from __future__ import annotations
 
 import contextlib
+import enum
 import io
 import os
 import re
@@ -248,6 +249,40 @@ def as_path(kind: type, value: Any) -> Any:
     raise NotImplementedError(f"values of the type {kind}")
 
 
+def allowed_values(error: msgspec.ValidationError, form: type) -> str:
+    """Return a sentence for the end of a message, with a leading space, that lists the values a key may have.
+
+    Args:
+        error: The error that ``msgspec.convert`` raised.
+        form: The class that was to be made.
+
+    Returns:
+        The sentence; empty where the values are no list.
+    """
+    values = _values_of(_refused_kind(error, form))
+    return f" It is one of: {', '.join(map(str, values))}." if values else ""
+
+
+def _refused_kind(error: msgspec.ValidationError, form: type) -> Any:
+    """Return the type that a conversion expected where it failed: a class with fields, a list of values, or another."""
+    place = str(error).partition(" - at `$.")[2]
+    kind: Any = form
+    for key in re.sub(r"\[.*?\]|`", "", place).split(".") if place else []:
+        if isinstance(kind, msgspec.StructMeta):
+            kind = {field.name: field.type for field in msgspec.structs.fields(typing.cast(Any, kind))}.get(key)
+        # One kind of two may be None; that of what a list or table holds.
+        inner = (each for each in typing.get_args(kind) if isinstance(each, msgspec.StructMeta) or _values_of(each))
+        kind = next(inner, kind)
+    return kind
+
+
+def _values_of(kind: Any) -> tuple[Any, ...]:
+    """Return the values of a ``Literal`` or an enumeration; nothing for other types."""
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return tuple(member.value for member in kind)
+    return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
+
+
 def structured(path: Path, values: Any, form: type[Form], *, remedy: str = "") -> Form:
     """Turn the content of a file into a data class.
 
@@ -265,13 +300,8 @@ def structured(path: Path, values: Any, form: type[Form], *, remedy: str = "") -
         return msgspec.convert(values, form, dec_hook=as_path)
     except msgspec.ValidationError as error:
         said, _, place = str(error).partition(" - at `$.")
-        kind: Any = form
-        for key in re.sub(r"\[.*?\]|`", "", place).split(".") if place else []:  # one kind of two may be None
-            if isinstance(kind, msgspec.StructMeta):
-                kind = {field.name: field.type for field in msgspec.structs.fields(typing.cast(Any, kind))}.get(key)
-            kind = next((each for each in typing.get_args(kind) if isinstance(each, msgspec.StructMeta)), kind)
-        choices = typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
-        known = getattr(kind, "__struct_fields__", choices)
+        kind = _refused_kind(error, form)
+        known = getattr(kind, "__struct_fields__", _values_of(kind))
         named = re.search(r"unknown field `(.+)`", said)
         remedy = (named and did_you_mean(named[1], known).strip()) or remedy
         expected = f"what is known here: {', '.join(map(str, known))}" if known else "a value of the key's type"

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
@@ -32,7 +31,7 @@ import msgspec
 
 from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
 from prbench.errors import PrbenchError, UsageError, did_you_mean
-from prbench.files.bounded import as_path, require
+from prbench.files.bounded import allowed_values, as_path, require
 from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import decode_json
@@ -74,13 +73,8 @@ def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str
     try:
         return msgspec.convert(dict(given), form, strict=False, dec_hook=as_path)
     except msgspec.ValidationError as error:
-        # Name the values that the blamed option may have, where they are a list.
-        blamed = re.search(r"`\$\.(\w+)`", str(error))
-        key = blamed[1] if blamed else ""
-        kind = typing.get_type_hints(form).get(key)
-        choices = typing.get_args(kind) if typing.get_origin(kind) is Literal else ()
-        known = f" {key} is one of: {', '.join(map(str, choices))}." if choices else ""
-        raise UsageError(f"an option of the reader of {dataset} has a wrong value: {error}.{known}") from error
+        problem = f"an option of the reader of {dataset} has a wrong value: {error}.{allowed_values(error, form)}"
+        raise UsageError(problem) from error
 
 
 def described_options(options: ReaderOptions) -> dict[str, str]:

@@ -6,16 +6,27 @@ import inspect
 import os
 import pickle
 import zipfile
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 import pytest
 
 from prbench import limits
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, TableError, UnforeseenInput
 from prbench.files.arrays import Archive, open_parquet
-from prbench.files.bounded import foreign_input, open_regular, read_text, read_whole, require_unpackable, whole_lines
+from prbench.files.bounded import (
+    allowed_values,
+    foreign_input,
+    open_regular,
+    read_text,
+    read_whole,
+    require_unpackable,
+    structured,
+    whole_lines,
+)
 from prbench.files.storage import file_digest
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files, reader_for
@@ -208,3 +219,42 @@ def test_every_reader_stands_behind_the_boundary(dataset):
     reader = reader_for(dataset)
     for door in (reader.find, reader.read):
         assert inspect.unwrap(door) is not door, f"put @foreign_input() over {door.__qualname__}"
+
+
+class Unit(StrEnum):
+    METRE = "m"
+    INCH = "in"
+
+
+class Colours(msgspec.Struct, forbid_unknown_fields=True):
+    ink: Literal["black", "blue"] = "black"
+    paper: Literal["white", "grey"] | None = None
+    pens: tuple[Literal["thin", "broad"], ...] = ()
+    width: int = 1
+    unit: Unit = Unit.METRE
+
+
+class Drawing(msgspec.Struct, forbid_unknown_fields=True):
+    colours: Colours | None = None
+    layers: dict[str, Colours] = {}
+
+
+@pytest.mark.parametrize(
+    ("colours", "known"),
+    [
+        ({"ink": "red"}, "black, blue"),
+        ({"ink": 3}, "black, blue"),
+        ({"paper": "red"}, "white, grey"),
+        ({"pens": ["thin", "flat"]}, "thin, broad"),
+        ({"unit": "ft"}, "m, in"),
+        ({"width": "wide"}, ""),
+        ({"inks": "black"}, ""),
+    ],
+)
+def test_a_value_that_is_none_of_a_list_is_answered_with_the_list(colours, known):
+    for drawing in ({"colours": colours}, {"layers": {"first": colours}}):
+        with pytest.raises(msgspec.ValidationError) as refused:
+            msgspec.convert(drawing, Drawing)
+        assert allowed_values(refused.value, Drawing) == (known and f" It is one of: {known}.")
+        with pytest.raises(InputFileError, match=f"what is known here: {known}, found" if known else "expected"):
+            structured(Path("drawing.toml"), drawing, Drawing)

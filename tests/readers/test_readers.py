@@ -85,7 +85,7 @@ def test_a_misspelt_name_is_answered_with_the_nearest_one() -> None:
 
 
 def test_a_wrong_value_is_answered_with_the_allowed_ones() -> None:
-    with pytest.raises(UsageError, match="body is one of: auto, smplx, bvh"):
+    with pytest.raises(UsageError, match=r"\$\.body`. It is one of: auto, smplx, bvh"):
         reader_for("gimo", {"body": "sphere"})
 
 

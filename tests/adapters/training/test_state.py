@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 import numpy as np
 import pytest
@@ -73,6 +75,7 @@ def test_the_average_takes_the_place_of_the_weights_and_gives_it_back_even_after
 
 class Networks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width: int = 8
+    schedule: Literal["cosine", "geometric"] = "cosine"
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -94,6 +97,7 @@ def test_each_record_gets_its_own_keys_and_what_is_not_said_has_its_default():
         ({"widht": 3}, "widht"),
         ({"width": "wide"}, r"Expected `int`, got `str` - at `\$\.width`"),
         ({"weight": -1.0}, "'weight' must be at least 0"),
+        ({"schedule": "linear"}, r"Invalid enum value 'linear' - at `\$\.schedule`. It is one of: cosine, geometric\."),
     ],
 )
 def test_what_describes_nothing_is_refused(wrong, message):

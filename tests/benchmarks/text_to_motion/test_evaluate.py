@@ -124,6 +124,20 @@ def test_multimodality_takes_thirty_motions_of_each_text(request_for, swaying, m
     assert "multimodality" not in result.rows[0].metrics
 
 
+def test_retrieval_is_measured_where_asked_for_and_stands_in_the_file(request_for, swaying, tmp_path):
+    result = evaluate_text(request_for(method="swaying", prompts=36, retrieval=True))
+    for row in result.rows:
+        n = row.motions
+        keys = [(found.query, found.candidates, found.hit) for found in row.retrieval]
+        assert keys == [(query, many, hit) for many in (32, n) for query in ("text", "motion")
+                        for hit in ("own", "same caption")]  # fmt: skip
+        assert row.retrieval[0].r_at_1 == row.metrics["r_precision_top_1"]
+        assert all(len(found.median_rank.values) == 2 for found in row.retrieval)
+    result.write(tmp_path / "out.json")
+    assert TextEvaluation.read(tmp_path / "out.json") == result
+    assert evaluate_text(request_for()).rows[0].retrieval == ()
+
+
 def test_repetitions_default_to_twenty_or_five():
     request = TextEvaluationRequest(evaluator=Path("e"), corpus=Path("c"))
     assert request.chosen_repetitions == 20
@@ -196,6 +210,8 @@ def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, c
     written = json.loads(out.read_text())
     assert plain(report.rows) == written["rows"]
     assert (report.clips, report.notes) == (written["clips"], written["notes"])
+    assert main([*words, "--retrieval"]) == 0
+    assert "R@10, %" in capsys.readouterr().out
     refused([*words, "--corpus", str(tmp_path / "gone")], capsys, code=4, message="gone")
     assert main([*command, "--multimodality"]) == 2
     assert "--multimodality belongs to a method" in capsys.readouterr().err

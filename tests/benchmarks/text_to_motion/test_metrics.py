@@ -5,6 +5,7 @@ import pytest
 from scipy import linalg
 
 from prbench_benchmarks.text_to_motion.metrics import (
+    EmbeddedPairs,
     Repeated,
     diversity,
     draw_diversity_pairs,
@@ -13,6 +14,8 @@ from prbench_benchmarks.text_to_motion.metrics import (
     multimodal_distance,
     multimodality,
     r_precision,
+    ranks,
+    retrieval,
 )
 
 
@@ -90,6 +93,96 @@ def test_permuting_the_texts_and_motions_of_a_batch_together_changes_nothing():
     order = generator.permutation(32)
     assert r_precision(text[order], motion[order]).top.tolist() == r_precision(text, motion).top.tolist()
     assert r_precision(text[order], motion).top[0] < r_precision(text, motion).top[0]
+
+
+def on_a_line(*places: float) -> np.ndarray:
+    return np.array(places)[:, None]
+
+
+def test_ranks_worked_by_hand():
+    """docs/specification/metrics.md#text-to-motion-metrics."""
+    text, motion = on_a_line(0, 1, 2), on_a_line(0.4, 2.1, 1.85)
+    (of_texts, equal), (of_motions, _) = ranks(text, motion, ["a", "b", "c"], candidates=3)
+    assert of_texts.tolist() == equal.tolist() == [1, 3, 2]
+    assert of_motions.tolist() == [1, 2, 1]
+    assert multimodal_distance(text, motion) == pytest.approx(0.55)
+
+
+def test_motions_and_texts_of_an_equal_caption_are_hits_in_the_second_column():
+    """Texts 1 and 2 are one: motion 2 is a hit of text 1, before which stands none of another caption."""
+    text, motion = on_a_line(0, 1, 1), on_a_line(0.4, 2.1, 1.1)
+    (of_texts, equal_of_texts), (of_motions, equal_of_motions) = ranks(text, motion, ["a", "b", "b"], candidates=3)
+    assert of_texts.tolist() == [1, 3, 1]
+    assert equal_of_texts.tolist() == [1, 1, 1]
+    assert of_motions.tolist() == [1, 2, 2]  # the other text of the same caption is exactly as near as the own one
+    assert equal_of_motions.tolist() == [1, 1, 1]
+
+
+def sorted_ranks(queries, asked, captions):
+    """Sort what is asked, whatever is as near as a hit before it, and look where the first hit stands."""
+    found = []
+    for i, query in enumerate(queries):
+        distances = [float(np.sqrt(sum((a - b) ** 2 for a, b in zip(query, other)))) for other in asked]
+        for hits in ([i], [j for j, caption in enumerate(captions) if caption == captions[i]]):
+            order = sorted(range(len(asked)), key=lambda j: (distances[j], j in hits))
+            found.append(next(rank for rank, j in enumerate(order, 1) if j in hits))
+    return np.array(found).reshape(-1, 2).T
+
+
+def test_ranks_agree_with_sorting_where_many_distances_and_captions_are_equal(monkeypatch):
+    monkeypatch.setattr("prbench_benchmarks.text_to_motion.metrics._QUERIES_AT_ONCE", 7)
+    generator = np.random.default_rng(4)
+    text, motion = (generator.integers(0, 4, size=(52, 2)).astype(np.float64) for _ in range(2))
+    captions = [f"c{i}" for i in generator.integers(0, 12, size=52)]
+    for candidates, n_batches in ((52, 1), (16, 3)):
+        found = ranks(text, motion, captions, candidates=candidates)
+        assert found.shape == (2, 2, n_batches * candidates)
+        for start in range(0, n_batches * candidates, candidates):
+            part = slice(start, start + candidates)
+            for direction, (queries, asked) in enumerate(((text, motion), (motion, text))):
+                expected = sorted_ranks(queries[part], asked[part], captions[part])
+                np.testing.assert_array_equal(found[direction][:, part], expected)
+
+
+def some_pairs(n: int = 70) -> EmbeddedPairs:
+    generator = np.random.default_rng(5)
+    text = generator.normal(size=(n, 6))[np.arange(n) // 2]
+    motion = text + generator.normal(size=(n, 6))
+    return EmbeddedPairs(tuple(f"c{i // 2}" for i in range(n)), text, motion)
+
+
+def test_the_order_of_pairs_changes_no_retrieval_among_all():
+    pairs = some_pairs()
+    measured = retrieval(pairs)
+    shuffled = retrieval(pairs.shuffled(np.random.default_rng(6)))
+    among_all = [key for key in measured if key[1] == 70]
+    assert len(among_all) == 4
+    assert all(shuffled[key] == measured[key] for key in among_all)
+    assert measured["text", 70, "own"]["r_at_1"] > retrieval(pairs.mismatched())["text", 70, "own"]["r_at_1"]
+
+
+def test_retrieval_among_32_is_r_precision_where_texts_ask():
+    pairs = some_pairs()
+    measured = retrieval(pairs)
+    assert {key[1] for key in measured} == {32, 70}
+    top = r_precision(pairs.text, pairs.motion, pairs.captions).top
+    assert measured["text", 32, "own"]["r_at_1"] == top[0]
+    assert measured["text", 32, "same caption"]["r_at_1"] > top[0]
+    assert len(retrieval(some_pairs(32))) == 4  # all of them are the one batch
+
+
+def test_median_rank_and_recalls_worked_by_hand():
+    """Six motions are nearer to each of 40 texts than its own, fewer to the last six: ranks 7, 6, 5, 4, 3, 2, 1."""
+    pairs = EmbeddedPairs(tuple(str(i) for i in range(40)), line(40) + np.array([3.1, 0.0]), line(40))
+    measured = retrieval(pairs)["text", 40, "own"]
+    assert measured == {"r_at_1": 1 / 40, "r_at_5": 5 / 40, "r_at_10": 1.0, "median_rank": 7.0}
+
+
+def test_equal_embeddings_find_nothing_and_other_than_finite_ones_are_refused():
+    nothing = ranks(np.zeros((4, 2)), np.zeros((4, 2)), ["a", "b", "c", "d"], candidates=4)
+    assert nothing.tolist() == np.full((2, 2, 4), 4).tolist()
+    with pytest.raises(ValueError, match="not finite"):
+        ranks(np.full((4, 2), np.nan), np.zeros((4, 2)), range(4), candidates=4)
 
 
 def test_fid_of_two_normal_sets_worked_by_hand():
