@@ -261,7 +261,7 @@ def plan_steps(person: Person, segments: tuple[Segment, ...]) -> Steps:
         walking = segment.kind == "walk"
         # Speed is step length times cadence, and the walk ratio is step length over cadence: their quotient is
         # cadence². Below 62 metres a minute the ratio rises (Murakami & Otaka 2017).
-        slower = max(1.0, _SLOW_WALK / segment.speed)
+        slower = max(1.0, _SLOW_WALK / max(segment.speed, 1e-9))  # who stands has no speed
         cadence = np.clip(np.sqrt(60.0 * segment.speed / (person.habits.walk_ratio * slower**0.5)), 60.0, 128.0)
         turn_in, turn_out = (abs(segment.course - segment.start.heading), abs(segment.goal.heading - segment.course))
         if not walking:
