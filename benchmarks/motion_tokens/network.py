@@ -83,6 +83,10 @@ class Quantiser(nn.Module):
         self.initialised: torch.Tensor
         self.register_buffer("initialised", torch.zeros((), dtype=torch.bool))
 
+    def forward(self, tokens: Int[torch.Tensor, " vectors"]) -> Vectors:
+        """Return the codes of tokens."""
+        return self.codebook.detach()[tokens]
+
     def nearest(self, vectors: Vectors) -> Int[torch.Tensor, " vectors"]:
         """Return the number of the code nearest to each vector."""
         codes = self.codebook.detach()
@@ -100,7 +104,9 @@ class Quantiser(nn.Module):
         self.initialised.fill_(True)
 
     @torch.no_grad()
-    def update(self, vectors: Vectors, tokens: Int[torch.Tensor, " vectors"], generator: torch.Generator | None) -> None:
+    def update(
+        self, vectors: Vectors, tokens: Int[torch.Tensor, " vectors"], generator: torch.Generator | None
+    ) -> None:
         """Move each code to the running mean of its vectors; code k without enough of them becomes vector k.
 
         Sum and count of a replaced code stay, so it is replaced again until its count reaches 1.
@@ -189,7 +195,7 @@ class Tokeniser(nn.Module):
                 if self.training and not quantiser.initialised:
                     quantiser.initialise(fixed, generator)
                 tokens = quantiser.nearest(fixed)
-                codes = quantiser.codebook.detach()[tokens]
+                codes = quantiser(tokens)
                 if self.training:
                     quantiser.update(fixed, tokens, generator)
             shares = torch.bincount(tokens, minlength=len(quantiser.count)) / len(tokens)
@@ -205,7 +211,7 @@ class Tokeniser(nn.Module):
     def from_tokens(self, tokens: Int[torch.Tensor, "batch tokens parts"]) -> Features:
         """Return the features that tokens alone stand for."""
         flat = tokens.flatten(0, 1)
-        codes = [quantiser.codebook.detach()[part] for quantiser, part in zip(self.quantisers, flat.unbind(-1))]
+        codes = [quantiser(part) for quantiser, part in zip(self.quantisers, flat.unbind(-1))]
         return self.decode(torch.cat(codes, -1), len(tokens))
 
     def forward(self, features: Features, generator: torch.Generator | None = None) -> tuple[Features, Quantised]:

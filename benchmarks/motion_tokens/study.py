@@ -89,7 +89,7 @@ def reconstruct(
         features: Raw features of one whole motion; frames beyond a multiple of 4 are left out.
     """
     whole = len(features) // FRAMES_OF_TOKEN * FRAMES_OF_TOKEN
-    given = torch.from_numpy(np.ascontiguousarray(features[:whole])).to(tokeniser.mean)
+    given = torch.from_numpy(features[:whole].copy()).to(tokeniser.mean)
     with torch.inference_mode():
         made, quantised = tokeniser(((given - tokeniser.mean) / tokeniser.std)[None])
         made = made[0] * tokeniser.std + tokeniser.mean

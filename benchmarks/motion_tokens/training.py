@@ -106,7 +106,12 @@ class TokeniserTask:
     stages: tuple[str, ...] = ("train",)
 
     def build(
-        self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str  # noqa: ARG002
+        self,
+        model: Mapping[str, Any],
+        *,
+        data: TrainingData,
+        initial: Path | None,
+        stage: str,  # noqa: ARG002
     ) -> TokeniserTraining:
         """Make the networks in their state before the first step, or in that of weights to go on from.
 

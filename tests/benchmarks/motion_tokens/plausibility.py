@@ -1,8 +1,9 @@
 """Does the reconstruction error of motion tokens tell cheats from people? The numbers of ``docs/motion-tokens.md``.
 
-Run from the repository's root: ``python -m tests.benchmarks.motion_tokens.plausibility WEIGHTS --data TABLE... --held-out
-TABLE...``. The limits of the errors are percentiles over the split ``validation`` of the tables that were learnt from;
-people and controls are those of the split ``test`` of ``--data``. Takes two minutes of one core and prints Markdown.
+Run from the repository's root: ``python -m tests.benchmarks.motion_tokens.plausibility WEIGHTS --data TABLE...
+--held-out TABLE...``. The limits of the errors are percentiles over the split ``validation`` of the tables that were
+learnt from; people and controls are those of the split ``test`` of ``--data``. Takes a minute of one core and prints
+Markdown.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def batches(data):
 
 
 def configured(steps=6, **settings):
-    training = OptimisationConfiguration(steps=steps, learning_rate=3e-3, ema=0.0, save_every=20, **settings)
+    training = OptimisationConfiguration(steps=steps, learning_rate=3e-3, ema=0.0, save_every=50, **settings)
     return TrainingConfiguration(model=TINY, training=training, validation=ValidationConfiguration(every=2))
 
 
@@ -63,7 +63,9 @@ def tensors_of(path):
 
 def test_the_loss_falls_and_codes_come_into_use(build, batches, tmp_path):
     batch = next(iter(batches(0)))
-    state = fit(build(width=32, codes=32), lambda _: repeat(batch), configured(80, log_every=10), tmp_path)
+    state = fit(
+        build(width=32, codes=32), lambda _: repeat(batch), configured(80, log_every=10), tmp_path
+    )
     assert state.rows[-1]["loss"] < 0.8 * state.rows[0]["loss"]
     assert state.rows[-1]["perplexity"] > 3
 
