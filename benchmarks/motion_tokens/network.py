@@ -183,7 +183,7 @@ class Tokeniser(nn.Module):
 
         Args:
             encoded: Its vectors are taken sample by sample, in order of time.
-            generator: Of the noise where a batch has fewer vectors than there are codes.
+            generator: Draws the noise where a batch has fewer vectors than there are codes.
         """
         vectors = encoded.mT.flatten(0, 1).float()
         found = []

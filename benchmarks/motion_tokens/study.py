@@ -85,7 +85,7 @@ def reconstruct(
     """Return raw features after a way through tokens, and the tokens.
 
     Args:
-        tokeniser: In evaluation mode.
+        tokeniser: Networks and statistics, in evaluation mode.
         features: Raw features of one whole motion; frames beyond a multiple of 4 are left out.
     """
     whole = len(features) // FRAMES_OF_TOKEN * FRAMES_OF_TOKEN

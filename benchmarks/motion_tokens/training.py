@@ -49,7 +49,7 @@ class TokeniserTraining(TrainingModule):
     """The networks with their losses; the codebooks follow in each step of training.
 
     Args:
-        network: In its state before the first step, with the statistics of the features.
+        network: Networks in their state before the first step, with the statistics of the features.
         objective: Clips, and weights of the losses.
         origin: Lines for the card.
     """

@@ -37,6 +37,17 @@ def test_any_turned_scaled_and_shifted_copy_has_no_error_after_alignment_and_a_m
     assert error_sums(copy * [-1.0, 1.0, 1.0], points)[1, 0] > 100.0
 
 
+def test_a_mirrored_body_is_aligned_as_well_as_turning_can():
+    generator = np.random.default_rng(1)
+    fixed = generator.normal(size=(22, 3))
+    moved = fixed * [-1.0, 1.0, 1.0] + 0.1 * generator.normal(size=(22, 3))
+    centres = fixed.mean(axis=0), moved.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(fixed - centres[0], moved - centres[1])
+    turned = rotation.apply(moved - centres[1])
+    scale = np.sum(turned * (fixed - centres[0])) / np.sum(turned**2)
+    np.testing.assert_allclose(aligned(moved[None], fixed[None])[0], scale * turned + centres[0], atol=1e-9)
+
+
 def test_points_that_are_all_one_are_aligned_too():
     assert np.isfinite(aligned(np.zeros_like(CORNERS), CORNERS)).all()
 

@@ -155,6 +155,16 @@ def test_evaluation_changes_no_code_and_training_does():
     assert quantiser.codebook.grad is None
 
 
+def test_the_first_vectors_of_the_first_batch_stand_for_themselves():
+    torch.manual_seed(0)
+    network = Tokeniser(TokeniserConfiguration(width=4, latent=4, codes=3)).train()
+    encoded = torch.randn(2, 4, 5)
+    quantised = network.quantise(encoded)
+    assert quantised.tokens[:3, 0].tolist() == [0, 1, 2]
+    assert torch.allclose(quantised.vectors[:3], encoded[0, :, :3].mT)
+    assert network.quantisers[0].initialised
+
+
 def test_codes_follow_in_full_precision_where_the_networks_are_in_half():
     torch.manual_seed(0)
     network = Tokeniser(TokeniserConfiguration(width=4, latent=4, codes=3)).train()

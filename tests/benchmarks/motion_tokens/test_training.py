@@ -63,9 +63,7 @@ def tensors_of(path):
 
 def test_the_loss_falls_and_codes_come_into_use(build, batches, tmp_path):
     batch = next(iter(batches(0)))
-    state = fit(
-        build(width=32, codes=32), lambda _: repeat(batch), configured(80, log_every=10), tmp_path
-    )
+    state = fit(build(width=32, codes=32), lambda _: repeat(batch), configured(80, log_every=10), tmp_path)
     assert state.rows[-1]["loss"] < 0.8 * state.rows[0]["loss"]
     assert state.rows[-1]["perplexity"] > 3
 
