@@ -6,21 +6,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 
 from prbench.errors import TableError
 from prbench.protocol.published import printed_rows
-from prbench.representation.tensors import decode
-from prbench.tables import Block, Cell, Column, Row, Table
-from prbench_adapters.training.store import Table as MotionTable
-from prbench_adapters.training.store import encoded, frame_rate, open_table, read_rows
+from prbench.representation import decode
+from prbench.tables import Block, Cell, Column, Row, Table, note_of
+from prbench_adapters.training import SequenceDataset
 from prbench_benchmarks.motion_tokens.metrics import error_sums, pooled
 from prbench_benchmarks.motion_tokens.network import FRAMES_OF_TOKEN, Tokeniser, perplexity
 from prbench_benchmarks.motion_tokens.training import load_tokeniser
 
-_SPLIT = "test"
+_LONGEST = 1_000_000  # frames: no motion is cut
 _TITLE = "Motion reconstruction from tokens (Nymeria, Table 5)"
 _WORDS = {"dataset": "Dataset", "fps": "Frames/s", "parts": "Quantisers", "codes": "Codebook", "latent": "Latent"}
 _COLUMNS = (
@@ -65,7 +65,7 @@ def nymeria_table_5(
     pairs = [(path, folder) for path in inputs for folder in data]
     for done, (path, folder) in enumerate(pairs, start=1):
         tokeniser, digest = load_tokeniser(path, device=device)
-        rows.append(_measured(tokeniser, open_table(folder), origin=f"weights {path.name}, sha256 {digest}"))
+        rows.append(_measured(tokeniser, folder, origin=f"weights {path.name}, sha256 {digest}"))
         progress(done, len(pairs), f"{path} on {folder}")
     blocks = [Block(title="measured", rows=tuple(rows))]
     if with_published:
@@ -96,33 +96,31 @@ def reconstruct(
     return made.cpu().numpy(), quantised.tokens.cpu().numpy()
 
 
-def _measured(tokeniser: Tokeniser, table: MotionTable, *, origin: str) -> Row:
+def _measured(tokeniser: Tokeniser, folder: Path, *, origin: str) -> Row:
     """Return the row of one tokeniser on one table."""
     sizes = tokeniser.configuration
-    rate = frame_rate(table, _SPLIT)
-    if rate != sizes.fps:
-        problem = f"expected {sizes.fps:g} frames per second, as the tokeniser was trained, found {rate:g}."
-        raise TableError(f"{table.folder}: {problem}")
+    data = SequenceDataset([folder], split="test", max_frames=_LONGEST, mode=sizes.representation)
+    if data.fps != sizes.fps:
+        problem = f"expected {sizes.fps:g} frames per second, as the tokeniser was trained, found {data.fps:g}."
+        raise TableError(f"{folder}: {problem}")
     sums = []
     counts = np.zeros((sizes.parts, sizes.codes))
-    for motions in read_rows(table, _SPLIT):
-        for row in motions:
-            if row.motion.n_frames < FRAMES_OF_TOKEN:
-                continue
-            features = encoded(row.motion, sizes.representation, name=row.sequence_id)
-            made, tokens = reconstruct(tokeniser, features)
-            # Both ways through the features, so that what they lose is not the tokens' error.
-            joints = [decode(torch.from_numpy(each)).numpy() for each in (made, features[: len(made)])]
-            sums.append(error_sums(*joints))
-            for part, chosen in enumerate(tokens.T):
-                counts[part] += np.bincount(chosen, minlength=sizes.codes)
+    for place in np.flatnonzero(data.lengths >= FRAMES_OF_TOKEN).tolist():
+        features = data[place].features
+        made, tokens = reconstruct(tokeniser, features)
+        # Both ways through the features, so that what they lose is not the tokens' error.
+        sums.append(error_sums(decode(made), decode(features[: len(made)])))
+        for part, chosen in enumerate(tokens.T):
+            counts[part] += np.bincount(chosen, minlength=sizes.codes)
     if not sums:
-        raise TableError(f"{table.folder}: expected motions of {FRAMES_OF_TOKEN} frames or more, found none.")
+        raise TableError(f"{folder}: expected motions of {FRAMES_OF_TOKEN} frames or more, found none.")
     shares = torch.from_numpy(counts / counts.sum(axis=1, keepdims=True))
     use = float(np.mean([perplexity(part) for part in shares])) / sizes.codes
-    synthetic = " on synthetic data" if table.info.synthetic else ""
-    about = {"origin": f"measured{synthetic}", "note": origin, "sequences": len(sums)}
-    words = {"dataset": table.info.dataset, "fps": f"{rate:g}"}
+    info = data.tables[0].info
+    left_out = len(data.left_out) + len(data) - len(sums)
+    about: dict[str, Any] = {"origin": "measured on synthetic data" if info.synthetic else "measured"}
+    about |= {"note": note_of(origin, f"{left_out} motions left out" if left_out else ""), "sequences": len(sums)}
+    words = {"dataset": info.dataset, "fps": f"{data.fps:g}"}
     words |= {name: str(getattr(sizes, name)) for name in ("parts", "codes", "latent")}
     codes = {"codebook_use": 100 * use, "dead_codes": 100 * float((counts == 0).mean())}
     return _row(words, pooled(sums), about, **codes)
@@ -135,5 +133,7 @@ def _row(words: Any, errors: tuple[float, float, float], about: dict[str, Any], 
     units = {column.key: column.unit for column in _COLUMNS}
     said = [f"{_WORDS[key].lower()} {words[key] or 'not printed'}" for key in ("parts", "codes", "latent")]
     about = {"dataset": words["dataset"], "method": "VQ-VAE", "variant": "; ".join(said), **about}
-    cells = (Cell(metric=name, value=value, unit=units[name], **about) for name, value in values.items())
+    cells = [Cell(metric=name, value=value, unit=units[name], **about) for name, value in values.items()]
+    converted = note_of("mm/frame² times the square of the rate", cells[3].note)
+    cells[3] = msgspec.structs.replace(cells[3], note=converted)
     return Row(text={key: words[key] for key in _WORDS}, cells=tuple(cells))

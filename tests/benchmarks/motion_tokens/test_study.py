@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from prbench.cli.main import main
-from prbench.representation.tensors import decode
-from prbench_adapters.training import SequenceDataset
+from prbench.representation import decode
+from prbench_adapters.training.store import encoded, read_rows
 from prbench_adapters.training.weights import write_weights
 from prbench_benchmarks.motion_tokens.metrics import error_sums, pooled
 from prbench_benchmarks.motion_tokens.network import Tokeniser, TokeniserConfiguration
@@ -47,19 +47,19 @@ def test_a_row_is_the_pooled_error_of_the_test_split(corpus, network, tmp_path, 
     measured, printed = table["blocks"]
     (row,) = measured["rows"]
     values = {cell["metric"]: cell["value"] for cell in row["cells"]}
-    # The same by the public data loading, whose rows have features of their own.
+    # The same from the table's own joints.
     sums = []
     used = [set(), set()]
-    for item in SequenceDataset([corpus], split="test", cache=tmp_path):
-        made, tokens = reconstruct(network, item.features)
-        assert len(made) == item.n_frames // 4 * 4 == 4 * len(tokens)
-        recorded = decode(torch.from_numpy(item.features[: len(made)].copy())).numpy()
-        sums.append(error_sums(decode(torch.from_numpy(made)).numpy(), recorded))
+    for clip in (clip for clips in read_rows(corpus, "test") for clip in clips):
+        features = encoded(clip.motion, "continuous", name=clip.sequence_id)
+        made, tokens = reconstruct(network, features)
+        assert len(made) == clip.motion.n_frames // 4 * 4 == 4 * len(tokens)
+        sums.append(error_sums(decode(made), clip.motion.joints[: len(made)]))
         for part, chosen in zip(used, tokens.T):
             part.update(chosen.tolist())
     mpjpe, pa_mpjpe, acc = pooled(sums)
-    assert [values[name] for name in ("mpjpe", "pa_mpjpe", "acc")] == pytest.approx([mpjpe, pa_mpjpe, acc], rel=1e-5)
-    assert values["acc_seconds"] == pytest.approx(acc * 400 / 1000, rel=1e-5)
+    assert [values[name] for name in ("mpjpe", "pa_mpjpe", "acc")] == pytest.approx([mpjpe, pa_mpjpe, acc], rel=1e-3)
+    assert values["acc_seconds"] == pytest.approx(values["acc"] * 400 / 1000)
     assert values["dead_codes"] == pytest.approx(100 * (1 - sum(map(len, used)) / 32))
     assert 100 / 16 <= values["codebook_use"] <= 100
     assert {cell["sequences"] for cell in row["cells"]} == {6}
