@@ -30,7 +30,7 @@ class TokeniserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         width: Channels of the convolutions.
         latent: Channels of the encoder's output, over all parts.
         codes: Codes of each part's codebook.
-        parts: Equal parts of the channels, each with a codebook of its own (product quantisation).
+        parts: Equal parts of the channels, 1 or 2, each with a codebook of its own (product quantisation).
         representation: Mode of the representation.
         fps: Frame rate of the motions, in frames per second.
         max_frames: The longest motion that is trained on.
@@ -39,7 +39,7 @@ class TokeniserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     width: int = 512
     latent: int = 512
     codes: int = 512
-    parts: Literal[1, 2] = 1
+    parts: int = 1
     representation: Literal["continuous", "reference"] = "continuous"
     fps: float = 20.0
     max_frames: int = 240
@@ -47,8 +47,9 @@ class TokeniserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     def __post_init__(self) -> None:
         require_within(self, "at least 1", "width", "latent", "codes", "max_frames")
         require_within(self, "above 0", "fps")
-        if self.latent % self.parts:
-            raise ValueError(f"`latent` must be a multiple of `parts`, found {self.latent} and {self.parts}")
+        if self.parts not in (1, 2) or self.latent % self.parts:
+            found = f"found {self.parts} parts of {self.latent} channels"
+            raise ValueError(f"`parts` must be 1 or 2, and `latent` a multiple of it, {found}")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from torch.nn.functional import smooth_l1_loss
 from prbench.errors import TableError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.representation.features import JOINT_POSITIONS
+from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
@@ -144,9 +145,11 @@ def load_tokeniser(path: Path, *, device: str = "cpu") -> tuple[Tokeniser, str]:
 
     Raises:
         InputFileError: if the file is none of a tokeniser.
+        AdapterError: if there is no such device.
     """
+    where = torch_device(device)
     weights = read_weights(path, kind=KIND)
     network = Tokeniser(weights.configuration(TokeniserConfiguration))
     weights.require_representation(network.configuration.representation)
     weights.load_into(network, "network")
-    return network.eval().requires_grad_(False).to(device), weights.digest
+    return network.eval().requires_grad_(False).to(where), weights.digest

@@ -91,13 +91,15 @@ def test_perfect_reconstruction_has_no_error_and_every_frame_but_the_rest_of_fou
     assert np.array_equal(tokens, same)
 
 
-def test_other_rates_and_missing_tables_are_refused(corpus, tmp_path, capsys):
+def test_other_rates_missing_tables_and_unknown_devices_are_refused(corpus, tmp_path, capsys):
     fast = Tokeniser(TokeniserConfiguration(width=4, latent=4, codes=4, fps=30.0))
     weights = weights_of(tmp_path / "fast.safetensors", fast)
     assert main(["study", "nymeria-table-5", weights, "--data", str(corpus.folder)]) != 0
     assert "expected 30 frames per second, as the tokeniser was trained, found 20" in capsys.readouterr().err
     assert main(["study", "nymeria-table-5", weights]) == 2
     assert "--data DIR is needed" in capsys.readouterr().err
+    assert main(["study", "nymeria-table-5", weights, "--data", str(corpus.folder), "--device", "abacus"]) != 0
+    assert "--device abacus: cannot be used" in capsys.readouterr().err
 
 
 def test_other_weights_are_refused(corpus, tmp_path, capsys):

@@ -131,8 +131,8 @@ def test_a_motion_without_a_token_is_named(build, batches):
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        ({"parts": 3}, "parts"),
-        ({"latent": 7}, "`latent` must be a multiple of `parts`"),
+        ({"parts": 3}, "`parts` must be 1 or 2"),
+        ({"latent": 7}, "found 2 parts of 7 channels"),
         ({"window": 30}, "`window` must be a multiple of 4"),
         ({"codes": 0}, "'codes' must be at least 1"),
         ({"commitment": -1.0}, "'commitment' must be at least 0"),
