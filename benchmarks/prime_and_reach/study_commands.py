@@ -118,6 +118,13 @@ def _evaluations(item: str, reports: Paths, *, with_published: bool, out: Paths)
     return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
 
 
+def _tokens(item: str, weights: Paths, *, data: Paths, out: Paths, **settings: Any) -> Answer:
+    if not data:
+        raise UsageError(f"study {item}: --data DIR is needed, whose split 'test' is reconstructed.")
+    with progress("reconstructing") as tell:
+        return _answer([load_built_in(STUDY_ITEMS, item)(weights, data, **settings, progress=tell)], out)
+
+
 def _mapping(item: str, inputs: Paths, *, root: Path | None, smpl: Path | None, out: Paths) -> Answer:
     if root is None or inputs:
         raise UsageError(f"study {item}: name one --root DIR, your copy of Nymeria, and no DIR else.")
@@ -236,6 +243,7 @@ _OF_SCORES = ("data", "numbers", "out", "workers")
 _OF_MOTIONS = ("sequences", "limit", "permission", "out")
 _TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
 _PREDICTED = "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows"
+_RECONSTRUCTED = ("data", "with_published", "device", "out")
 _PREDICTION = ("weights", "limit", "device", "seed", "out")
 _ABLATIONS = {
     "table-3": "ablation of conditions and optimisation, one by one",
@@ -255,6 +263,7 @@ _ITEMS = {
     **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
     "three-points": _Item("bodies from head and wrists", "RUN", ("with_published", "out"), _evaluations),
     "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
+    "nymeria-table-5": _Item("weights of motion-tokens on --data", "FILE", _RECONSTRUCTED, _tokens),
     "nymeria-mapping": _Item("the suit's bones, floor and SMPL fit", "--root DIR", ("root", "smpl", "out"), _mapping),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
