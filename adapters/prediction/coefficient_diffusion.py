@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -29,6 +30,7 @@ Coefficients = Float[Tensor, "windows coefficients values"]
 Samples = Float[Tensor, "windows samples coefficients values"]
 Stream = Float[Tensor, "windows samples coefficients width"]
 Graph = Float[Tensor, "batch channels nodes steps"]
+GraphLayer = Callable[[int, int, int, int], nn.Module]
 Kept = Bool[Tensor, "windows samples"]
 KeptWindows = Bool[Tensor, " windows"]
 # What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
@@ -188,23 +190,23 @@ def _attention(tokens: Float[Tensor, "batch tokens size"], weights: Float[Tensor
 
 
 class GraphEncoder(nn.Module):
-    """Graph attention layers with residual blocks on two copies of the sequence, from 3 channels to 3.
+    """Graph layers with residual blocks on two copies of the sequence, from 3 channels to 3.
 
     Args:
         nodes: Number of nodes of the graph.
         steps: Coefficients of each node.
         width: Channels between the first and the last layer.
-        heads: Number of attention heads of each layer.
         blocks: Residual blocks.
         dropout: Share of numbers that the blocks drop in training.
+        layer: Makes a layer of a number of channels that come in, channels that go out, nodes, and steps.
     """
 
-    def __init__(self, nodes: int, steps: int, width: int, heads: int, blocks: int, dropout: float) -> None:
+    def __init__(self, nodes: int, steps: int, width: int, blocks: int, dropout: float, layer: GraphLayer) -> None:
         super().__init__()
         self.steps = steps
-        self.start = GraphAttention(3, width, nodes, steps, heads)
-        self.blocks = nn.ModuleList(_GraphBlock(width, nodes, 2 * steps, heads, dropout) for _ in range(blocks))
-        self.end = GraphAttention(width, 3, nodes, steps, heads)
+        self.start = layer(3, width, nodes, steps)
+        self.blocks = nn.ModuleList(_GraphBlock(width, nodes, 2 * steps, dropout, layer) for _ in range(blocks))
+        self.end = layer(width, 3, nodes, steps)
 
     def forward(self, nodes: Graph) -> Graph:
         """Encode; the result is the input and what the layers add to it."""
@@ -216,9 +218,9 @@ class GraphEncoder(nn.Module):
 
 
 class _GraphBlock(nn.Module):
-    def __init__(self, width: int, nodes: int, steps: int, heads: int, dropout: float) -> None:
+    def __init__(self, width: int, nodes: int, steps: int, dropout: float, layer: GraphLayer) -> None:
         super().__init__()
-        self.attention = GraphAttention(width, width, nodes, steps, heads)
+        self.attention = layer(width, width, nodes, steps)  # or GazeMotion's convolution: weights files know this name
         self.norm = nn.LayerNorm([width, nodes, steps])
         self.dropout = nn.Dropout(dropout)
 
@@ -252,15 +254,16 @@ class ConditionEncoder(nn.Module):
         steps, width, heads = configuration.coefficients, configuration.encoder_width, configuration.encoder_heads
         joints, nodes = configuration.n_joints, configuration.nodes
         self.pose: nn.Module = nn.Identity()
+        layer = partial(GraphAttention, heads=heads)
         if configuration.pose_encoder:
-            self.pose = GraphEncoder(joints, steps, width, heads, 1, configuration.encoder_dropout)
+            self.pose = GraphEncoder(joints, steps, width, 1, configuration.encoder_dropout, layer)
         self.gaze: nn.Module = nn.Identity()
         if configuration.gaze and configuration.gaze_encoder:
             self.gaze = gaze_encoder(steps)
         self.fusion: nn.Module = nn.Identity()
         if configuration.fusion == "graph-attention":
             blocks = configuration.fusion_blocks
-            self.fusion = GraphEncoder(nodes, steps, width, heads, blocks, configuration.fusion_dropout)
+            self.fusion = GraphEncoder(nodes, steps, width, blocks, configuration.fusion_dropout, layer)
 
     def forward(self, coefficients: Coefficients) -> Coefficients:
         """Encode the coefficients of padded observations, gaze being the last node."""

@@ -10,12 +10,13 @@ from torch import nn
 from prbench_adapters.prediction import belfusion
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
+from prbench_adapters.prediction.gazemotion import GazeMotion, GazeMotionConfiguration
 from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
 from prbench_adapters.training.batches import SeenWindows
 from prbench_adapters.training.weights import Weights
 
 Sizes = TypeVar("Sizes", bound=msgspec.Struct)
-PredictorNetwork = CoefficientDiffusion | CVAE | DLow | belfusion.BeLFusion
+PredictorNetwork = CoefficientDiffusion | GazeMotion | CVAE | DLow | belfusion.BeLFusion
 
 
 class Autoencoders(nn.Module):
@@ -29,7 +30,7 @@ class Autoencoders(nn.Module):
 
 
 class NetworkRecord(msgspec.Struct, Generic[Sizes], frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """GazeMoDiff, HumanMAC, CVAE, or the two autoencoders of BeLFusion, its first stage."""
+    """GazeMoDiff, HumanMAC, GazeMotion, CVAE, or the two autoencoders of BeLFusion, its first stage."""
 
     windows: SeenWindows
     network: Sizes
@@ -67,16 +68,18 @@ class BeLFusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 Record = NetworkRecord | DLowRecord | BeLFusionRecord
 DiffusionRecord = NetworkRecord[DiffusionConfiguration]
 CVAERecord = NetworkRecord[CVAEConfiguration]
+GazeMotionRecord = NetworkRecord[GazeMotionConfiguration]
 AutoencodersRecord = NetworkRecord[belfusion.BehaviourConfiguration]
 _NETWORKS: dict[type, type[nn.Module]] = {
     DiffusionConfiguration: CoefficientDiffusion,
+    GazeMotionConfiguration: GazeMotion,
     CVAEConfiguration: CVAE,
     belfusion.BehaviourConfiguration: Autoencoders,
 }
 AUTOENCODERS = "belfusion-autoencoders"
 # Maps each method, which is the kind of its weights, to what their header holds.
 RECORDS: dict[str, Any] = dict.fromkeys(("gazemodiff", "humanmac"), DiffusionRecord)
-RECORDS |= {"cvae": CVAERecord, "dlow": DLowRecord, "belfusion": BeLFusionRecord}
+RECORDS |= {"gazemotion": GazeMotionRecord, "cvae": CVAERecord, "dlow": DLowRecord, "belfusion": BeLFusionRecord}
 
 
 def network_of(weights: Weights, record: Record) -> PredictorNetwork:

@@ -20,8 +20,10 @@ from prbench_adapters.prediction import records
 from prbench_adapters.prediction.belfusion import BehaviourConfiguration, UNetConfiguration
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, held
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
+from prbench_adapters.prediction.gazemotion import GazeMotionConfiguration
 from prbench_adapters.prediction.recurrent import CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
+from prbench_adapters.training.configuration import require_within
 from prbench_adapters.training.task import TrainingModule, converted, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights, start_from, weights_header
 from prbench_benchmarks.motion_prediction.batch import Condition
@@ -79,6 +81,7 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     Attributes:
         milestones: Shares of the training after which the rate is multiplied by ``factor``.
         linear_from: Share of the training after which the rate falls linearly to almost 0.
+        exponential_to: Factor that the rate has fallen to at the end, by the same share in every step.
 
     Raises:
         ValueError: for places outside of the training.
@@ -87,14 +90,16 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     milestones: tuple[float, ...] = ()
     factor: float = 0.9
     linear_from: float = 1.0
+    exponential_to: float = 1.0
 
     def __post_init__(self) -> None:
+        require_within(self, "above 0", "exponential_to")
         if not all(0 < place < 1 for place in self.milestones) or not 0 <= self.linear_from <= 1 or self.factor <= 0:
             raise ValueError("'milestones' and 'linear_from' must lie between 0 and 1, and 'factor' above 0")
 
     def at(self, progress: float) -> float:
         """Factor on the learning rate after a share of the training, which is below 1."""
-        factor = self.factor ** sum(progress >= place for place in self.milestones)
+        factor = self.exponential_to**progress * self.factor ** sum(progress >= place for place in self.milestones)
         if progress > self.linear_from:
             factor *= (1.0 - progress) / (1.0 - self.linear_from)
         return factor
@@ -222,6 +227,11 @@ def latent_losses(module: PredictorTraining, motion: Motion, generator: torch.Ge
     return module.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
+def motion_losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:  # noqa: ARG001
+    """GazeMotion: the errors of its one future, and of the forecast of gaze."""
+    return module.network.loss(motion)
+
+
 def autoencoder_losses(
     module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int, *, frozen_from: float
 ) -> Losses:
@@ -332,6 +342,12 @@ class PredictorTask:
             own = {"n_joints": seen.nodes, "predicted": seen.predicted}
             record = records.CVAERecord(windows=seen, network=converted({**sizes, **own}, CVAEConfiguration, "model"))
             losses = latent_losses
+        elif self.name == "gazemotion":
+            own = {"n_joints": seen.n_joints, "gaze": seen.direction}
+            own |= {"observed": seen.observed, "predicted": seen.predicted}
+            shape = converted({**sizes, **own}, GazeMotionConfiguration, "model")
+            record = records.GazeMotionRecord(windows=seen, network=shape)
+            losses = motion_losses
         else:
             record = records.DiffusionRecord(windows=seen, network=_diffusion(self.name, sizes, seen))
         network = record.build()

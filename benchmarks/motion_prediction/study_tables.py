@@ -362,6 +362,10 @@ def _laid_out(
                 f"{row.label}: its {samples} samples are one design, of which fewer are no part, so it has no scores of"
                 " fewer."
             )
+        learnt = row in methods and row.method not in _WITHOUT_LEARNING
+        if learnt and samples > 1 and measured[row.name]["apd"].mean == 0:
+            alone = f"its errors are those of one guess, not the best of {samples}"
+            notes.append(f"{row.label}: it has one future: {alone}.")
     notes += _notes(table)
     about = {"title": load_tables().titles[number], "dataset": table.info.dataset, "part": part}
     return Table(number=number, columns=_COLUMNS, blocks=tuple(blocks), notes=tuple(notes), **about)

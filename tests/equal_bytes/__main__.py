@@ -24,7 +24,7 @@ RUNS = {
     "goal-pose": ("gmd", "dno", "dart", "pr"),
     "goal-loc": ("dno", "dart", "wandr", "pr", "scripted", "ground-truth", "ground-truth-resampled"),
 }
-LEARNT = ("gazemodiff", "humanmac", "cvae", "dlow", "belfusion")
+LEARNT = ("gazemodiff", "gazemotion", "humanmac", "cvae", "dlow", "belfusion")
 PREDICTORS = ("zero-velocity", "constant-velocity", "nearest-past", *LEARNT)
 RENAMED = tomllib.loads(Path(__file__).with_name("key_map.toml").read_text(encoding="utf-8"))
 
@@ -47,7 +47,7 @@ def commands() -> Iterator[tuple[str, list[str]]]:
     for predictor in PREDICTORS:
         samples = "50" if predictor == "dlow" else "3"  # DLow's samples are one design, of which fewer are no part
         chosen = ["--method", predictor, "--data", "windows/adt", "--limit", "4", "--samples", samples]
-        condition = "pose+gaze" if predictor == "gazemodiff" else "pose"
+        condition = "pose+gaze" if predictor.startswith("gaze") else "pose"
         asked = ["run", "--benchmark", "motion-prediction", "--condition", condition]
         yield f"futures/{predictor}", [*asked, *chosen]
     boards = [f"runs/{name}" for name in ("static-none", "pr-goal-loc", "scripted-goal-loc", "wandr-goal-loc")]

@@ -15,10 +15,12 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.tables import Block, as_json, as_markdown
 from prbench_benchmarks.motion_prediction.charts import draw_prediction
+from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity
 from prbench_benchmarks.motion_prediction.scoring import Scores
 from prbench_benchmarks.motion_prediction.study_tables import (
     PUBLISHED_METRICS,
     TABLES,
+    PredictionTables,
     estimates,
     load_tables,
     paired,
@@ -151,6 +153,18 @@ def test_methods_are_ordered_and_references_are_not(tables):
     assert "DLow" not in order  # it answers with fifty futures only
     assert "ground truth" not in order
     assert " (-" not in order
+
+
+def test_a_method_with_one_future_is_said_to_have_one_guess(windows, monkeypatch):
+    module = "prbench_benchmarks.motion_prediction.study_tables"
+    rows = [row for row in load_tables().rows if row.method in ("gazemotion", "nearest-past", "zero-velocity")]
+    known = PredictionTables(titles=load_tables().titles, rows=tuple(rows))
+    monkeypatch.setattr(f"{module}.load_tables", lambda: known)
+    monkeypatch.setattr(f"{module}.load_adapter", lambda *_, **__: ConstantVelocity())
+    notes = prediction_tables(windows, samples=3, limit=2)[1].notes
+    assert [note for note in notes if "one guess" in note] == [
+        "GazeMotion: it has one future: its errors are those of one guess, not the best of 3."
+    ]
 
 
 def test_the_value_of_gaze_is_paired_between_all_conditions(tables):
