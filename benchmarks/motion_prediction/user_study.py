@@ -100,8 +100,8 @@ def write_pairs_of_predictors(
         StorageError: if a file cannot be written.
     """
     if len(runs) != 2 or not data:
-        remedy = "Name two RUN folders of motion prediction, and their windows with --data DIR."
-        raise UsageError(f"analyse pairs: expected two runs and their windows, found {len(runs)} runs. {remedy}")
+        problem = "expected two runs of predictors and their windows (--data DIR)"
+        raise UsageError(f"analyse pairs: {problem}, found {len(runs)} of the runs and {len(data)} tables.")
     tables = [WindowsTable.open(folder) for folder in data]
     for table in tables:
         require_may_pass_on(table.info, "the page", permitted)
