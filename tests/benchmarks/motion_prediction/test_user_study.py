@@ -49,8 +49,9 @@ def words(folder: Path, out: Path, *more: str, runs: tuple[str, ...] = ("still",
     return ["analyse", "pairs", *paths, "--data", str(folder / "windows"), "--out", str(out), *more]
 
 
-def read(page: Path) -> list[dict]:
-    return [json.loads(each) for each in re.findall(r'class="pair">(.*?)</script>', page.read_text(encoding="utf-8"))]
+def read(folder: Path) -> list[dict]:
+    text = (folder / PAGE).read_text(encoding="utf-8")
+    return [json.loads(each) for each in re.findall(r'class="pair">(.*?)</script>', text)]
 
 
 def positions(text: str) -> np.ndarray:
@@ -78,7 +79,7 @@ def test_the_page_shows_ten_futures_of_each_run_and_what_happened_and_names_nobo
     table = WindowsTable.open(made / "windows")
     batches = table.batches(Condition.POSE, table.chosen(split="test"))
     truths = {name: (b, t, row) for b, t in batches for row, name in enumerate(t.window_ids)}
-    shown = read(tmp_path / "kit" / PAGE)
+    shown = read(tmp_path / "kit")
     assert len(shown) == 4
     for pair, told in zip(key["pairs"], shown, strict=True):
         batch, truth, row = truths[pair["sequence_id"]]
@@ -104,9 +105,9 @@ def test_windows_that_are_recorded_longest_come_first(tmp_path, capsys):
     for name, method in (("still", "zero-velocity"), ("going", "constant-velocity")):
         run(tmp_path, name, method)
     reported(words(tmp_path, tmp_path / "kit", "--pairs", "5"), capsys)
-    assert {len(positions(told["recorded"])) for told in read(tmp_path / "kit" / PAGE)} == {60}
+    assert {len(positions(told["recorded"])) for told in read(tmp_path / "kit")} == {60}
     reported(words(tmp_path, tmp_path / "all"), capsys)  # futures end with what was recorded
-    shown = read(tmp_path / "all" / PAGE)
+    shown = read(tmp_path / "all")
     assert sorted(len(positions(told["recorded"])) for told in shown) == 5 * [15] + 5 * [60]
     assert all(len(told["recorded"]) == len(told["sides"][1][0]) for told in shown)
 
@@ -146,7 +147,7 @@ def test_the_printed_shares_are_typed_as_printed():
 @pytest.mark.parametrize(
     ("runs", "told"),
     [
-        (("still",), "expected two runs of motion prediction and their windows"),
+        (("still",), "expected two runs of predictors and their windows"),
         (("still", "still"), "expected two runs that can be told apart"),
         (("still", "elsewhere"), "expected runs on the same windows, found none in both"),
         (("still", "designed"), "12 futures are one design, of which 10 are no part. Run it with --samples 10"),
