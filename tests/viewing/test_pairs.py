@@ -86,8 +86,9 @@ def test_answers_are_counted_by_person_and_dataset(tmp_path) -> None:
 def test_each_question_is_counted_for_both_sides(tmp_path) -> None:
     questions = [Question(name=name, text=f"More {name}?") for name in ("realism", "precision")]
     sides = (RECORDED, "pr, goal-loc")
-    key = write_pairs(shown(4), tmp_path, seed=0, questions=questions, counted=sides)
-    # Pair by pair, and of each pair the questions in their order: always realism of the one, precision of the other.
+    key = write_pairs(shown(4), tmp_path, seed=4, questions=questions, counted=sides)
+    # Numbers go pair by pair, and question by question of a pair. Realism: always the first label; precision: the other.
+    # Seed 4 flips every second pair, so that no other order of numbers gives the same shares.
     choices = {2 * n + q + 1: "AB"[pair.sides.index(sides[q])] for n, pair in enumerate(key.pairs) for q in (0, 1)}
     del choices[8]
     table = answers_table(tmp_path, [answers(tmp_path, "Ann", choices)])
