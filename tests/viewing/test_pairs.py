@@ -87,7 +87,7 @@ def test_each_question_is_counted_for_both_sides(tmp_path) -> None:
     questions = [Question(name=name, text=f"More {name}?") for name in ("realism", "precision")]
     sides = (RECORDED, "pr, goal-loc")
     key = write_pairs(shown(4), tmp_path, seed=4, questions=questions, counted=sides)
-    # Numbers go pair by pair, and question by question of a pair. Realism: always the first label; precision: the other.
+    # Numbers go pair by pair, and question by question of a pair. Realism: the first label; precision: the other.
     # Seed 4 flips every second pair, so that no other order of numbers gives the same shares.
     choices = {2 * n + q + 1: "AB"[pair.sides.index(sides[q])] for n, pair in enumerate(key.pairs) for q in (0, 1)}
     del choices[8]
