@@ -14,11 +14,12 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
 
+from prbench.contract import TrainingRun
 from prbench.engine import Engine
-from prbench.errors import RunError, UsageError
+from prbench.errors import RunError
 from prbench.files.storage import text_digest
 from prbench.harness.benchmark import Answer, Benchmark, CaseWork
-from prbench.harness.methods.loading import LoadedMethod, MethodSpec
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_apart
 from prbench.harness.methods.motions import in_halves
 from prbench.harness.methods.remote import MethodGroup, RemoteMethod
 from prbench.harness.planning import Selection, consecutive, limited
@@ -188,12 +189,24 @@ def _score_part(
     return long_form(names, dataset, known)
 
 
+def fit_to_copy(adapter: Any, train: Path, run: TrainingRun) -> None:
+    """Fit a predictor in a process of its own, which nothing is kept of, to a copy of the training windows."""
+    del run
+    adapter.fit(TrainingWindows(train))
+
+
 class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
     """See :class:`prbench.harness.benchmark.Benchmark`."""
 
     name = "motion-prediction"
     methods = MethodGroup(
-        "prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor, serve_futures
+        "prbench.predictors",
+        Predictor,
+        "name, conditions and predict()",
+        Condition,
+        RemotePredictor,
+        serve_futures,
+        fit_to_copy,
     )
     table_file = FILE_NAME
 
@@ -220,16 +233,17 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         ids = tuple(rows["window_id"].to_pylist())
         return limited(WindowCases(table, split, ids, lengths, recordings, table.info.fps, places), limit)
 
-    def fitted(self, spec: MethodSpec, table: WindowsTable, condition: StrEnum) -> MethodSpec:
-        """Show the training windows of the table to a predictor that learns and brought no weights of its own."""
-        del condition
-        adapter = spec.load().adapter
-        if spec.weights is None and isinstance(adapter, RemoteMethod) and adapter.trainable:
-            why = "which it is not shown at a distance yet; leave it out."
-            raise UsageError(f"--isolate: {adapter.name} learns from the table, {why}")
-        if spec.weights is not None or not hasattr(adapter, "fit"):
+    def fitted(self, spec: MethodSpec, table: WindowsTable, split: str) -> MethodSpec:
+        """Show the training windows of the table to a predictor that learns and brought no weights of its own.
+
+        One in a process of its own gets a copy of them, since the table holds the futures of all others.
+        """
+        if spec.weights is not None or not learns_from_table(spec.load().adapter):
             return spec
-        return replace(spec, fit=fit_to_training_windows, table_folder=table.folder)
+        published = split == PUBLISHED
+        if spec.program is not None:
+            return fitted_apart(spec, partial(table.write_training_copy, published=published))
+        return replace(spec, fit=FitToWindows(published), table_folder=table.folder)
 
     def work(
         self, request: RunRequest, cases: WindowCases, *, method: MethodRecord, condition: StrEnum, rules: Any
@@ -268,11 +282,21 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         return run.rsplit("/", 4)[0]
 
 
-def fit_to_training_windows(adapter: object, spec: MethodSpec) -> None:
-    """Fit a predictor that was made in this process."""
-    fit = getattr(adapter, "fit", None)
-    if fit is not None and spec.table_folder is not None:
-        fit(TrainingWindows(spec.table_folder))
+def learns_from_table(adapter: Any) -> bool:
+    """Return True if a run fits the predictor, here or in its own process, where it brought no weights."""
+    return adapter.trainable if isinstance(adapter, RemoteMethod) else hasattr(adapter, "fit")
+
+
+@dataclass(frozen=True)
+class FitToWindows:
+    """Fits a predictor that was made in this process; see :class:`TrainingWindows`."""
+
+    published: bool
+
+    def __call__(self, adapter: Any, spec: MethodSpec) -> None:
+        """Fit it to the table of the spec."""
+        assert spec.table_folder is not None
+        adapter.fit(TrainingWindows(spec.table_folder, self.published))
 
 
 MOTION_PREDICTION = MotionPrediction()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,14 +20,14 @@ from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, unload_method
 from prbench.harness.methods.motions import told
 from prbench.harness.methods.process import computing_threads
-from prbench.harness.methods.remote import RemoteMethod
 from prbench.protocol.manifests import find_benchmark
 from prbench.sequences.table import by_share
 from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
+from prbench_benchmarks.motion_prediction.benchmark import learns_from_table
 from prbench_benchmarks.motion_prediction.metrics import bone_error, first_frame_jump
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
-from prbench_benchmarks.motion_prediction.table import FILE_NAME, Window, WindowsTable, write_windows
+from prbench_benchmarks.motion_prediction.table import FILE_NAME, Run, Window, WindowsTable, write_windows
 
 BENCHMARK = "motion-prediction"
 WINDOWS = 12  # Asked about, unless a predictor is slow.
@@ -102,14 +103,9 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
             alone = replace(run, run_id=row["window_id"], start_time=start_time, **frames)
             looking = int(alone.gaze_valid[:observed].sum())
             asked.append(replace(alone, windows=(Window(0, looking, row["n_scored"]),)))
-        try:
-            learnt = table.windows.take(table.chosen(split="train")[:_TO_LEARN_FROM]).to_pylist()
-        except UsageError:  # the table has no such split
-            learnt = []
-        train = [
-            replace(run, windows=tuple(Window.of(row) for row in learnt if row["row"] == number))
-            for number, run in dict(table.iterate_runs({row["row"] for row in learnt})).items()
-        ]
+        train: list[Run] = []
+        with contextlib.suppress(UsageError):  # the table has no such split
+            train = list(table.runs_of(table.training()[:_TO_LEARN_FROM]))
         write_windows(whole, table.info, [*asked, *train])
         for each in asked:
             for values in (each.joints, each.gaze, each.head_direction):
@@ -189,13 +185,11 @@ class PredictorSubject(MethodSubject):
 
     def learns(self, loaded: LoadedMethod) -> bool:
         """Return True if a run would fit it to the training windows."""
-        if isinstance(loaded.adapter, RemoteMethod):
-            return loaded.adapter.trainable
-        return hasattr(loaded.adapter, "fit")
+        return learns_from_table(loaded.adapter)
 
     def fitted_spec(self) -> MethodSpec:
         """Fit it as a run does: it is shown the training windows of the table."""
-        return load_benchmark(BENCHMARK).fitted(self._as_given, self.cases.table, Condition.POSE)
+        return load_benchmark(BENCHMARK).fitted(self._as_given, self.cases.table, "test")
 
     def _observed(self, condition: Condition, table: WindowsTable, rows: Sequence[int]) -> ObservedBatch:
         """Return some windows as a run shows them."""
@@ -240,7 +234,7 @@ class PredictorSubject(MethodSubject):
         # Whatever the predictor has kept from before is gone with it.
         unload_method()
         if learns:
-            spec = load_benchmark(BENCHMARK).fitted(spec, self.cases.blind, Condition.POSE)
+            spec = load_benchmark(BENCHMARK).fitted(spec, self.cases.blind, "test")
         answer = self._asked(spec.load().adapter, self._observed(condition, self.cases.blind, rows), samples)
         unload_method()
         vars(self).pop("loaded", None)

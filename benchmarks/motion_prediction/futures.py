@@ -145,12 +145,8 @@ def view_futures(request: ViewRequest) -> FuturesReport:
     require_may_pass_on(table.info, "the view", request.permitted)
     runs = [run_on(path, table) for path in request.runs]
     labels = run_labels([run.path for run, _ in runs], [run.record for run, _ in runs])
-    ids = []
-    for _, files in runs:
-        rows = [read_parquet(path, ["sequence_id"]) for path in files.predictions.glob("part-*.parquet")]
-        ids.append({name for part in rows for name in part["sequence_id"].to_pylist()})
     windows = table.windows["window_id"].to_pylist()
-    known = [name for name in windows if all(name in held for held in ids)]
+    known = held_windows([files for _, files in runs], windows)
     if request.sequences:
         chosen = {find_sequence_id(name, known, among="the windows of these runs") for name in request.sequences}
     else:
@@ -161,7 +157,7 @@ def view_futures(request: ViewRequest) -> FuturesReport:
         problem = f"expected 1 to {MOST_ROWS} rows (windows times runs), found {len(chosen) * len(runs)}."
         raise UsageError(f"{request.out}: {problem}")
     places = np.array([place for place, name in enumerate(windows) if name in chosen])
-    futures = [_read(files, chosen, len(table.joints.names)) for _, files in runs]
+    futures = [read_futures(files, chosen, len(table.joints.names)) for _, files in runs]
     shown = []
     condition = Condition.POSE_GAZE if table.info.has_gaze else Condition.POSE
     frame = load_prediction_protocol().evaluation.frame
@@ -194,7 +190,18 @@ def view_futures(request: ViewRequest) -> FuturesReport:
     return FuturesReport(request.out, tuple(shown), caption=caption)
 
 
-def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:
+def held_windows(files: Sequence[DatasetFolder], windows: Sequence[str]) -> list[str]:
+    """Return the ids of those windows of which all runs hold futures."""
+    held = set(windows)
+    for each in files:
+        parts = [read_parquet(path, ["sequence_id"]) for path in each.predictions.glob("part-*.parquet")]
+        held &= {name for part in parts for name in part["sequence_id"].to_pylist()}
+    return [name for name in windows if name in held]
+
+
+def read_futures(
+    files: DatasetFolder, chosen: set[str], joints: int
+) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:
     """Return the futures of some windows by id, in the order of their samples and in the frame of the batch."""
     found: dict[str, list[np.ndarray]] = {}
     for path in sorted(files.predictions.glob("part-*.parquet")):

@@ -62,9 +62,14 @@ class ConstantVelocity:
 
 @dataclass(frozen=True)
 class TrainingWindows:
-    """The windows of a table that a predictor may learn from."""
+    """The windows of a table that a predictor may learn from.
+
+    Attributes:
+        published: They are the training split of the published evaluation, in place of the dataset's.
+    """
 
     folder: Path
+    published: bool = False
 
     def batches(self, condition: Condition, *, size: int = 64) -> Iterator[tuple[ObservedBatch, Truth]]:
         """Yield the windows of the training split with what happened, as a run shows those of another split.
@@ -78,7 +83,7 @@ class TrainingWindows:
         """
         table = WindowsTable.open(self.folder)
         frame = load_prediction_protocol().evaluation.frame
-        return table.batches(condition, table.chosen(split="train"), frame=frame, size=size)
+        return table.batches(condition, table.training(published=self.published), frame=frame, size=size)
 
 
 @dataclass

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -371,6 +371,32 @@ class WindowsTable:
             remedy = f"The table's runs are of the splits {', '.join(sorted(set(self.runs['split'].to_pylist())))}."
             raise UsageError(f"{self.folder}: no window of {len(keep)} is left {why} {remedy}")
         return np.flatnonzero(keep)
+
+    def training(self, *, published: bool = False) -> Int[np.ndarray, " n"]:
+        """Places of the windows of the dataset's training split, or of the published evaluation's.
+
+        Raises:
+            UsageError: if there is none.
+        """
+        return self.chosen(published_split="train") if published else self.chosen(split="train")
+
+    def runs_of(self, chosen: Int[np.ndarray, " n"]) -> Iterator[Run]:
+        """Read the runs of some windows, each with these windows alone."""
+        windows: dict[int, list[Window]] = {}
+        for row in self.windows.take(chosen).to_pylist():
+            windows.setdefault(row["row"], []).append(Window.of(row))
+        for number, run in self.iterate_runs(windows):
+            yield replace(run, windows=tuple(windows[number]))
+
+    def write_training_copy(self, folder: Path, *, published: bool = False) -> None:
+        """Write the windows of :meth:`training` and their runs as a table whose training split they are.
+
+        Raises:
+            UsageError: if there is none.
+            StorageError: if the folder cannot be written.
+        """
+        runs = self.runs_of(self.training(published=published))
+        write_windows(folder, self.info, (replace(run, split="train") for run in runs))
 
     def iterate_runs(self, rows: Iterable[int] | None = None) -> Iterator[tuple[int, Run]]:
         """Read runs in table order, a few at a time.

@@ -14,6 +14,7 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Session, command, progress
 from prbench.cli.places import Remote
 from prbench.cli.terminal import print_tables
+from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench_benchmarks.prime_and_reach.study_commands import taken_options
 
@@ -88,23 +89,37 @@ def _tables(target: str, runs: Paths, *, data: Paths, **options: Any) -> Answer:
         return _answer(AnalysisReport(tables=make(runs, data, progress=show, **options)))
 
 
-def _pairs(runs: Paths, *, data: Paths, out: Path | None, pairs: int, seed: int, permission: tuple[str, ...]) -> Answer:
+def _pairs(
+    runs: Paths, *, data: Paths, out: Path | None, pairs: int | None, seed: int, permission: tuple[str, ...]
+) -> Answer:
+    from prbench.harness.run_folder import RunFolder
     from prbench.viewing.pairs import KEY, PAGE
     from prbench_benchmarks.prime_and_reach.telling_apart import write_pairs_of_run
 
-    if len(runs) != 1 or out is None:
-        raise UsageError("analyse pairs: name one RUN, and with --out DIR the folder that gets the page and its key.")
-    key = write_pairs_of_run(runs[0], data, out, pairs=pairs, seed=seed, permitted=permission)
-    lines = f"page: {out / PAGE} ({len(key.pairs)} pairs)", f"key: {out / KEY} (keep it; hand out the page alone)"
+    if out is None:
+        raise UsageError("analyse pairs: with --out DIR name the folder that gets the page and its key.")
+    settings: dict[str, Any] = {"seed": seed, "permitted": permission}
+    if pairs is not None:
+        settings["pairs"] = pairs
+    if RunFolder.open(runs[0], any_benchmark=True).record.benchmark == "motion-prediction":
+        key = load_built_in(STUDY_ITEMS, "prediction-pairs")(runs, data, out, **settings)
+    elif len(runs) != 1:
+        raise UsageError("analyse pairs: name one RUN, or two of motion prediction.")
+    else:
+        key = write_pairs_of_run(runs[0], data, out, **settings)
+    asked = f"{len(key.pairs)} pairs, {len(key.numbered)} questions"
+    lines = f"page: {out / PAGE} ({asked})", f"key: {out / KEY} (keep it; hand out the page alone)"
     return _answer(AnalysisReport(page=out / PAGE), *lines)
 
 
 def _answers(paths: Paths) -> Answer:
-    from prbench.viewing.pairs import answers_table
+    from prbench.viewing.pairs import answers_table, read_key
 
     if len(paths) < 2:
         raise UsageError("analyse answers: name the DIR that `analyse pairs` has written, and FILE... of answers.")
-    return _answer(AnalysisReport(tables=[answers_table(paths[0], paths[1:])]))
+    of_predictors = read_key(paths[0]).benchmark == "motion-prediction"
+    count = load_built_in(STUDY_ITEMS, "prediction-answers") if of_predictors else answers_table
+    return _answer(AnalysisReport(tables=[count(paths[0], paths[1:])]))
 
 
 def _people(tables: Paths, *, seed: int, count: int) -> Answer:
@@ -164,7 +179,7 @@ def _out(ctx: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     metavar="FILE|DIR",
     help="Of pairs: the folder of the page. Of others: write the report as JSON to this file, too.",
 )
-@opt.number_option("--pairs", "Of pairs: most pairs, of each table as many (default 60).", default=60)
+@opt.number_option("--pairs", "Of pairs: most pairs, of each table as many (default 60; of two RUNs 16).")
 @opt.seed_option("of the pairs, their order and sides, or of acted people")
 @opt.permission_option
 @opt.number_option("--count", "Of people: acted recordings a layout (default 4).", default=4)
@@ -183,8 +198,9 @@ def analyse(ctx: click.Context, kind: str, runs: Paths, **given: Any) -> Answer:
     diversity: how far several motions for one goal differ in poses, path and timing, beside recorded people; RUN is one
     run with --samples 2 or more (docs/diversity.md).
 
-    pairs: a page on which people choose between RUN's motion and the recorded one; answers: what the saved files say
-    (analyse answers DIR FILE...); tell-apart: how well a classifier tells them apart (docs/telling-apart.md).
+    pairs: a page on which people choose between RUN's motion and the recorded one, or between the futures of two RUNs
+    of motion prediction; answers: what the saved files say (analyse answers DIR FILE...); tell-apart: how well a
+    classifier tells motions from recorded ones (docs/telling-apart.md).
 
     people: how people look, reach and walk beside what others measured (docs/specification/people.md): those of tables
     in place of RUN, else synthetic ones from --seed, as they were acted out at 120 frames a second.

@@ -28,7 +28,7 @@ from prbench.metrics.plausible import body_numbers, broken_limits
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences.dataset_info import require_may_pass_on
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
-from prbench.viewing.pairs import PairsKey, write_pairs
+from prbench.viewing.pairs import BlindPair, PairsKey, Question, write_pairs
 from prbench.viewing.replay.read import run_labels
 from prbench.viewing.replay.scene import RECORDED
 from prbench.viewing.view import ViewRequest, scenes_of
@@ -41,7 +41,7 @@ _STATISTICS = ("mean", "deviation", "speed", "acceleration")
 
 
 def write_pairs_of_run(
-    run: Path, data: Sequence[Path], out: Path, *, pairs: int, seed: int = 0, permitted: Collection[str] = ()
+    run: Path, data: Sequence[Path], out: Path, *, pairs: int = 60, seed: int = 0, permitted: Collection[str] = ()
 ) -> PairsKey:
     """Write a page on which people tell the motions of a run from recorded ones, and its key.
 
@@ -63,7 +63,8 @@ def write_pairs_of_run(
         require_may_pass_on(table.info, "the page", permitted)
     limit = max(1, pairs // len(tables))
     scenes = scenes_of(ViewRequest(runs=(run,), data=tuple(data), limit=limit, permitted=permitted))
-    return write_pairs(scenes, out, question="Which of the two is the recorded motion?", right=RECORDED, seed=seed)
+    asked = [Question(name="right", text="Which of the two is the recorded motion?")]
+    return write_pairs([BlindPair.of(scene) for scene in scenes], out, questions=asked, counted=(RECORDED,), seed=seed)
 
 
 def causes_tables(

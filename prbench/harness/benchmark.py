@@ -269,9 +269,9 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         del request, method
         return cases
 
-    def fitted(self, spec: MethodSpec, table: Table, condition: StrEnum) -> MethodSpec:
-        """Return the method fitted to a table, where it learns and brought no weights of its own."""
-        del table, condition
+    def fitted(self, spec: MethodSpec, table: Table, split: str) -> MethodSpec:
+        """Return the method fitted to a table whose ``split`` is run, where it learns and brought no weights."""
+        del table, split
         return spec
 
     @abstractmethod

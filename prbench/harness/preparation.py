@@ -123,7 +123,7 @@ def prepare_run(request: RunRequest, *, earlier: RunRecord | None = None) -> Pre
     datasets = []
     for chosen in benchmark.choose(request, tables):
         cases = benchmark.answerable(request, chosen, method)
-        fitted = None if spec is None else benchmark.fitted(spec, cases.table, condition)
+        fitted = None if spec is None else benchmark.fitted(spec, cases.table, request.split)
         work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
         datasets.append(PreparedDataset(chosen, cases, fitted, work))
     record = run_record(request, condition, method, tuple(datasets), rules)

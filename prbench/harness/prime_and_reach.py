@@ -220,9 +220,9 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
             raise AdapterError(f"adapter '{method.name}' generates at most {method.max_frames} frames; {why}")
         return selection
 
-    def fitted(self, spec: loading.MethodSpec, table: SequenceTable, condition: StrEnum) -> loading.MethodSpec:
+    def fitted(self, spec: loading.MethodSpec, table: SequenceTable, split: str) -> loading.MethodSpec:
         """See :meth:`Benchmark.fitted`."""
-        del condition
+        del split  # it learns from training rows, whatever is run
         spec = loading.fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker

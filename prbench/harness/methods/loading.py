@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -420,11 +421,24 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     folder = cache_folder() / "fits" / f"{short_name(spec.name)}-{key[:16]}"
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
-    # Behind the fence the table itself is hidden, as it holds the test rows.
-    _HELD.copies.append(training_split.temporary_training_copy(table))
+    apart = fitted_apart(spec, partial(training_split.write_training_copy, table), folder.absolute())
+    return replace(apart, fit_folder=folder)
+
+
+def fitted_apart(spec: MethodSpec, write: Callable[[Path], object], fit_folder: Path | None = None) -> MethodSpec:
+    """Return a method in a process of its own that is fitted there to a copy of what it may learn from.
+
+    Behind the fence the table itself is hidden, as it holds what the method is tested on.
+
+    Args:
+        spec: The method.
+        write: Writes the copy into an empty folder.
+        fit_folder: Absolute path of what the fit leaves; None where nothing is kept.
+    """
+    target = find_adapter(spec.name, entry_points=spec.group.entry_points).target
+    _HELD.copies.append(training_split.temporary_copy(write))
     copy = Path(_HELD.copies[-1].name).resolve()
-    program = worker_program(spec, installed.target, (copy, folder.absolute()))
-    return replace(spec, fit_folder=folder, table_folder=copy, program=program)
+    return replace(spec, table_folder=copy, program=worker_program(spec, target, (copy, fit_folder)))
 
 
 def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
@@ -438,13 +452,14 @@ _FIT_TIMEOUT = 7 * 24 * 3600.0  # seconds: fitting takes as long as it takes, as
 _WORKER = "prbench.harness.methods.worker"
 
 
-def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None = None) -> process.Program:
+def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path | None] | None = None) -> process.Program:
     """Return the worker that runs an installed method at a distance.
 
     Args:
         spec: The method; files that values of its options name by absolute paths are shown to it.
         target: ``module:callable`` of its entry point.
-        fit: Folders of a copy of the training rows and of the result, if the run fits the method; else None.
+        fit: Folders of a copy of the training rows and of the result (None where none is kept), if the run fits the
+            method; else None.
     """
     environment = isolation.isolated_environment(process.users_environment()) | isolation.text_encoder(os.environ)
     # The worker finds prbench where this process found it, installed or not; it drops the variable again.
@@ -462,9 +477,12 @@ def worker_program(spec: MethodSpec, target: str, fit: tuple[Path, Path] | None 
         program = replace(program, batch_timeout=spec.timeout)
     if fit is not None:
         train, folder = fit
-        folder.mkdir(parents=True, exist_ok=True)
-        words += ["--train", str(train), "--fit", str(folder)]
-        shown += [isolation.Shown(train, essential=True), isolation.Shown(folder, writable=True, essential=True)]
+        words += ["--train", str(train)]
+        shown.append(isolation.Shown(train, essential=True))
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            words += ["--fit", str(folder)]
+            shown.append(isolation.Shown(folder, writable=True, essential=True))
         program = replace(program, start_timeout=_FIT_TIMEOUT)
     return isolation.behind_fence(replace(program, words=tuple(words)), shown, spec.hidden)
 

@@ -9,10 +9,11 @@ import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 import prbench
-from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition, ConditionBatch, Cost, Motions
+from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition, ConditionBatch, Cost, Motions, TrainingRun
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.methods.installed import NAME_FORM, has_form
@@ -27,7 +28,9 @@ from prbench.harness.methods.messages import (
 )
 from prbench.harness.methods.motions import Declared, asked_for, own_copy, well_formed
 from prbench.harness.methods.process import Fault, Program, ProgramProcess
+from prbench.harness.methods.training_split import TrainingSplit
 from prbench.protocol.manifests import find_benchmark
+from prbench.sequences import DatasetInfo
 
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 _TEXT_LIMIT = 100
@@ -369,6 +372,11 @@ def serve_motions(name: str, adapter: Adapter, header: Header, payload: bytes) -
     return {"message": "motions", **passes}, motions_payload(batch.opaque_id, motions)
 
 
+def fit_motions(adapter: Any, train: Path, run: TrainingRun) -> None:
+    """Fit an installed method in its own process to the training rows in a folder, which may hold none."""
+    adapter.fit(TrainingSplit(train, DatasetInfo.read(train)), validation=None, run=run)
+
+
 @dataclass(frozen=True)
 class MethodGroup:
     """What loading a method needs to know of its benchmark; picklable, so that every worker can load it.
@@ -380,6 +388,8 @@ class MethodGroup:
         conditions: The conditions that a method may name.
         remote: A method of the group behind the wire protocol.
         serve: Answers a request for an installed method in ``harness.methods.worker``: name, method, header, payload.
+        fit: Fits an installed method there: method, folder of what it may learn from, where and how; None for a
+            benchmark whose methods do not learn from a table.
     """
 
     entry_points: str
@@ -388,11 +398,12 @@ class MethodGroup:
     conditions: type[StrEnum]
     remote: type[RemoteMethod]
     serve: Callable[[str, Any, dict[str, Any], bytes], tuple[dict[str, Any], bytes]]
+    fit: Callable[[Any, Path, TrainingRun], None] | None = None
 
 
 # The methods of prime-and-reach
 MOTIONS = MethodGroup(
-    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions
+    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions, fit_motions
 )
 
 

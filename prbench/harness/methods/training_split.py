@@ -6,7 +6,7 @@ import itertools
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +55,11 @@ class TrainingSplit(SequenceTable):
         return super().recordings().filter(pc.field("split") == _SPLIT)
 
 
-def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory[str]:
+def temporary_copy(write: Callable[[Path], object]) -> tempfile.TemporaryDirectory[str]:
     """Make a training copy in a folder that vanishes with this process, or at the latest when the next one is made.
+
+    Args:
+        write: Writes the copy into an empty folder.
 
     Raises:
         StorageError: if it cannot be written.
@@ -68,7 +71,7 @@ def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory
             shutil.rmtree(left, ignore_errors=True)
     folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
     try:
-        write_training_copy(table, Path(folder.name))
+        write(Path(folder.name))
     except BaseException:
         folder.cleanup()
         raise

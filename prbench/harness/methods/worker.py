@@ -14,14 +14,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from prbench.contract import Trainable, TrainingRun
+from prbench.contract import TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
 from prbench.harness.methods import messages, motions, process, remote
 from prbench.harness.methods.loading import load_adapter, used_weights, weights_digest
-from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit
+from prbench.harness.methods.training_split import FIT_SEED
 from prbench.protocol.manifests import default_benchmark
-from prbench.sequences import DatasetInfo
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m prbench.harness.methods.worker", description=__doc__)
     parser.add_argument("name", help="of an installed method")
     parser.add_argument("--benchmark", default=default_benchmark().name, help="that it is a method of")
-    parser.add_argument("--train", type=Path, help="copy of the training rows to fit the method to")
-    parser.add_argument("--fit", type=Path, help="folder of the fit")
+    parser.add_argument("--train", type=Path, help="copy of what it may learn from, to fit it to")
+    parser.add_argument("--fit", type=Path, help="folder of the fit, if one is kept")
     asked = parser.parse_args(arguments)
     # Keep stdin and stdout for the protocol; whatever else reads finds nothing, and prints appear on stderr.
     requests = os.fdopen(os.dup(0), "rb")
@@ -57,10 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         group = remote.group_of(asked.benchmark)
         weights = None if settings["weights"] is None else Path(settings["weights"])
         adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
-        if asked.train is not None and isinstance(adapter, Trainable):
-            run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
-            copy = TrainingSplit(asked.train, DatasetInfo.read(asked.train))  # that it may be empty the method says
-            adapter.fit(copy, validation=None, run=run)
+        if asked.train is not None and group.fit is not None:
+            group.fit(adapter, asked.train, TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"]))
         introduction = _introduction(asked.name, adapter, weights, group)
     except (Exception, SystemExit) as error:
         messages.write_message(answers, failed(error))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +187,72 @@ def test_the_nearest_past_learns_from_the_training_split(windows, tmp_path):
         run(windows, tmp_path / "more", "nearest-past", samples=6)
 
 
+def test_an_isolated_predictor_learns_from_a_copy_and_scores_as_here(windows, tmp_path):
+    here = run(windows, tmp_path / "here", "nearest-past", condition="pose+gaze")
+    apart = run(windows, tmp_path / "apart", "nearest-past", condition="pose+gaze", isolate=True)
+    assert means(apart) == means(here)
+    assert apart.folder.record.method.isolation in ("process", "bubblewrap")
+    split = {"split": "train", "isolate": True}  # it may be run on what it learns from, as in this process
+    assert means(run(windows, tmp_path / "train", "nearest-past", **split))["ade"] == pytest.approx(0, abs=1e-5)
+
+
+SEARCH = """
+    import json
+    from prbench_benchmarks.motion_prediction.batch import Condition
+    from prbench_benchmarks.motion_prediction.table import WindowsTable
+
+    class Searching:
+        name = "searching"
+        conditions = frozenset(Condition)
+
+        def fit(self, train):
+            table = WindowsTable.open(train.folder)
+            learnt = [name for _, truth in train.batches(Condition.POSE_GAZE) for name in truth.window_ids]
+            held = [[run.run_id, len(run)] for _, run in table.iterate_runs()]
+            self.found = [held, table.windows["window_id"].to_pylist(), learnt]
+
+        def predict(self, batch, *, n_samples, seed):
+            raise ValueError(json.dumps(self.found))
+
+    def load(weights, *, options, device):
+        return Searching()
+"""
+
+
+@pytest.mark.parametrize(("split", "learnt"), [("test", "c"), ("published", "d")])
+def test_an_isolated_predictor_finds_no_window_of_another_split(tmp_path, install, split, learnt):
+    published = {"a": "test", "b": "test", "c": "test", "d": "train", "e": "unused"}
+    runs = [
+        replace(walking(name, 150, split="train" if name == "c" else "test", number=n), published_split=published[name])
+        for n, name in enumerate(published)
+    ]
+    folder = write(tmp_path / "table", *runs)
+    install("searching", SEARCH)
+    metadata = next((tmp_path / "site").glob("prbench_searching-*/entry_points.txt"))
+    metadata.write_text(metadata.read_text().replace("prbench.adapters", "prbench.predictors"))
+
+    def found(*, isolate: bool) -> list[list]:
+        with pytest.raises(AdapterError) as told:
+            run(folder, tmp_path / "out", "searching", split=split, condition="pose+gaze", isolate=isolate)
+        said = re.search(r"\[\[\[.*\]\]", str(told.value))
+        assert said is not None
+        return json.loads(said[0])
+
+    held, windows, shown = found(isolate=True)
+    assert held == [[f"{learnt}/0", 150]]
+    assert windows == shown == [f"{learnt}/0/sliding/{15 * n}" for n in range(5)]
+    everything, _, shown_here = found(isolate=False)
+    assert len(everything) == 5
+    assert shown_here == shown
+
+
+def test_an_isolated_predictor_without_training_windows_is_refused(tmp_path):
+    folder = write(tmp_path / "table", walking("a", 150))
+    with pytest.raises(UsageError, match=r"no window of 5 is left \(split train"):
+        run(folder, tmp_path / "out", "nearest-past", isolate=True)
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_answer_with_nan_is_refused_and_leaves_nothing_behind(windows, tmp_path, predictor):
     predictor("noise", body="draws[0][0][0] = np.nan")
     with pytest.raises(AdapterError, match="found NaN or infinity"):
@@ -204,7 +272,6 @@ def test_a_failure_names_method_and_windows(windows, tmp_path, predictor):
         ({"condition": "text"}, "expected one of the benchmark motion-prediction: pose"),
         ({"method": "ground-truth", "condition": None}, "--method ground-truth: the benchmark motion-prediction"),
         ({"control": "shuffled-goal"}, "--control"),
-        ({"method": "nearest-past", "isolate": True}, "learns from the table, which it is not shown"),
         ({"method": "mdm"}, "'mdm' is a method of the benchmark prime-and-reach"),
         ({"method": "nearest-pest"}, "'nearest-pest' is not installed"),
         ({"split": "published"}, "no window"),

@@ -248,7 +248,7 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
         (["agreement", "r", "--fan", "f.png"], "analyse agreement takes no --fan; its options: --data, --workers."),
         (["agreement", "r", "--out", "."], "is a directory"),
         (["causes", "r", "--by", "joint"], "'joint' is not one of"),
-        (["pairs", "r"], "name one RUN, and with --out DIR the folder"),
+        (["pairs", "r"], "with --out DIR name the folder"),
         (["answers", "d"], "name the DIR that `analyse pairs` has written"),
         (["diversity", "a", "b"], "analyse diversity: name one RUN."),
         (["diversities", "a"], "'diversities' is not one of"),

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.harness.methods import training_split as training_copy
-from prbench.harness.methods.training_split import TrainingSplit, temporary_training_copy, write_training_copy
+from prbench.harness.methods.training_split import TrainingSplit, temporary_copy, write_training_copy
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.sequences import DatasetInfo, SequenceTable
@@ -136,7 +137,7 @@ def test_a_temporary_copy_vanishes_and_those_of_killed_processes_are_cleared_awa
     orphan, mine = tmp_path / f"prbench-train-{int(ended.stdout)}-x", tmp_path / f"prbench-train-{os.getpid()}-x"
     orphan.mkdir()
     mine.mkdir()
-    copy = temporary_training_copy(table)
+    copy = temporary_copy(partial(write_training_copy, table))
     assert opened(Path(copy.name)).identity == table.identity
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, Path(copy.name).name])
     copy.cleanup()
@@ -151,5 +152,5 @@ def test_a_copy_that_cannot_be_written_leaves_nothing(table, tmp_path, monkeypat
 
     monkeypatch.setattr(training_copy, "write_table", full)
     with pytest.raises(OSError, match="disk full"):
-        temporary_training_copy(table)
+        temporary_copy(partial(write_training_copy, table))
     assert not list(tmp_path.iterdir())
