@@ -253,6 +253,7 @@ _ITEMS = {
     "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", _OF_RUNS, _methods),
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
     **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
+    "captions": _Item("captions against references", "FILE", ("with_published", "out"), _evaluations),
     "three-points": _Item("bodies from head and wrists", "RUN", ("with_published", "out"), _evaluations),
     "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
     "nymeria-mapping": _Item("the suit's bones, floor and SMPL fit", "--root DIR", ("root", "smpl", "out"), _mapping),
