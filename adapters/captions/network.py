@@ -187,7 +187,7 @@ def caption_losses(
     counted = wanted != padding
     loss = ((1 - smoothing) * own + smoothing * others)[counted].sum()
     right = (logits.argmax(-1) == wanted)[counted].sum()
-    return {"loss": loss, "right": right, "words": counted.sum()}
+    return {"loss": loss, "right": right, "pieces": counted.sum()}
 
 
 @torch.inference_mode()

@@ -54,7 +54,7 @@ def test_losses_and_counts(name, smoothing, golden, network):
     logits = network(golden["source"], golden["target"][:, :-1])
     found = caption_losses(logits, golden["target"][:, 1:], network.padding, smoothing)
     close(found["loss"], golden[name], 5e-5)
-    assert (int(found["right"]), int(found["words"])) == (int(golden["n_correct"]), int(golden["n_word"]))
+    assert (int(found["right"]), int(found["pieces"])) == (int(golden["n_correct"]), int(golden["n_word"]))
 
 
 def decoding(golden, longest):

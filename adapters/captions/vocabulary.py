@@ -1,0 +1,108 @@
+"""Texts as pieces and back: the words of the training texts, or GPT-2's pieces."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from prbench.errors import InputFileError, MissingExtraError
+from prbench.files.bounded import foreign_input, require_size
+from prbench.limits import HARMLESS_SIZE
+
+GPT2_VARIABLE = "PRBENCH_GPT2"  # environment variable: a local folder or a hub id that was downloaded before
+_GPT2_HUB_ID = "openai-community/gpt2"
+_PIECE = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*|[^\w\s]")
+_BEFORE = re.compile(r" (?=[.,;:!?)])")  # what stands before no blank
+_UNKNOWN = "<unknown>"
+
+
+class Vocabulary(Protocol):
+    """Pieces of text by their ids, which count from 0."""
+
+    def __len__(self) -> int:
+        """Return the number of pieces."""
+        ...
+
+    def encode(self, text: str) -> list[int]:
+        """Return the ids of a text's pieces."""
+        ...
+
+    def decode(self, ids: Sequence[int]) -> str:
+        """Return the text of some pieces."""
+        ...
+
+
+class Words:
+    """Words and punctuation as they are written; id 0 stands for all others."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self.words = tuple(words)
+        self._places = {word: place for place, word in enumerate(words)}
+
+    @classmethod
+    def of(cls, texts: Iterable[str]) -> Words:
+        """Return the words of some texts, those of most texts first."""
+        counts = Counter(word for text in texts for word in _PIECE.findall(text))
+        return cls((_UNKNOWN, *sorted(counts, key=lambda word: (-counts[word], word))))
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+    def encode(self, text: str) -> list[int]:
+        """Return the ids of a text's words."""
+        return [self._places.get(word, 0) for word in _PIECE.findall(text)]
+
+    def decode(self, ids: Sequence[int]) -> str:
+        """Return the text of some words; unknown ones are left out."""
+        return _BEFORE.sub("", " ".join(self.words[each] for each in ids if each))
+
+
+class Gpt2:
+    """GPT-2's byte pairs, which any text is made of; prbench downloads nothing.
+
+    Raises:
+        MissingExtraError: if transformers is not installed.
+        InputFileError: if its files are not there; the message says how to get them.
+    """
+
+    @foreign_input()
+    def __init__(self) -> None:
+        try:
+            from transformers import GPT2TokenizerFast
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("transformers", "text", "GPT-2's pieces of text") from error
+        source = os.environ.get(GPT2_VARIABLE) or _GPT2_HUB_ID
+        for file in Path(source).iterdir() if Path(source).is_dir() else ():
+            require_size(file, largest=HARMLESS_SIZE)
+        found = "none"
+        try:
+            self._tokenizer: Any = GPT2TokenizerFast.from_pretrained(
+                source, local_files_only=True, trust_remote_code=False
+            )
+            # transformers takes a missing vocabulary for an empty one.
+            found = f"a vocabulary of {len(self._tokenizer)} pieces"
+            usable = len(self._tokenizer) > 256
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            found, usable = f"{found} ({str(error).partition(chr(10))[0][:200]})", False
+        if not usable:
+            remedy = (
+                f"Run once, where there is internet: hf download {_GPT2_HUB_ID} vocab.json merges.txt --local-dir gpt2;"
+                f" then set {GPT2_VARIABLE}=gpt2. Or train with --set model.text=words."
+            )
+            expected = "GPT-2's vocab.json and merges.txt"
+            raise InputFileError(source, "", expected=expected, found=found, remedy=remedy)
+
+    def __len__(self) -> int:
+        return len(self._tokenizer)
+
+    def encode(self, text: str) -> list[int]:
+        """Return the ids of a text's pieces."""
+        return self._tokenizer.encode(text)
+
+    def decode(self, ids: Sequence[int]) -> str:
+        """Return the text of some pieces."""
+        return self._tokenizer.decode(list(ids), clean_up_tokenization_spaces=False)
