@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-import click
 import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress
+from prbench.errors import TableError
 
 
 class CaptionReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,82 +37,45 @@ class CaptionReport(msgspec.Struct, frozen=True, kw_only=True):
     example="prbench caption --weights trained/tm2t --tokens tokens/nymeria.parquet --split test --out tm2t.jsonl",
     report=CaptionReport,
 )
-@click.option("--weights", type=opt.PATH, required=True, metavar="FILE", help="Weights of `prbench train --method tm2t`.")
+@opt.path_option("--weights", "Weights of `prbench train --method tm2t`.", required=True)
 @opt.path_option("--tokens", "Motion tokens with texts: a Parquet file (docs/captions.md).", required=True)
 @opt.out_file_option("Captions with their references.", required=True, metavar="FILE.jsonl")
 @opt.split_option(None, help="Only motions of this split (default: all).")
-@opt.number_option("--beam", "Texts that beam search keeps (default 1: the likeliest word after the other).", default=1)
-@opt.number_option("--batch-size", "Motions that are described at once, without beam search (default 64).", default=64)
+@opt.number_option("--beam", "Texts that beam search keeps (default 1: the likeliest piece follows).", default=1)
+@opt.number_option("--batch-size", "Motions at once, without beam search (default 64).", default=64)
 @opt.device_option
 @opt.threads_option
-def caption(*, out: Path, **given) -> Answer:
+def caption(
+    *, weights: Path, tokens: Path, out: Path, split: str | None, device: str, threads: int, **given: int
+) -> Answer:
     """Describe motions, given as tokens, in words, for `prbench study captions`."""
-    with progress("describing") as tell:
-        report = _write(out, tell, **given)
-
-    def show() -> None:
-        cut = f"{report.cut_captions} captions and {report.cut_motions} motions longer than {report.longest} tokens"
-        print(f"{report.motions} motions; {cut}, {report.left_out} motions without a text left out")
-        print(f"written: {out}")
-
-    return Answer(report, show)
-
-
-def _write(
-    out: Path,
-    tell: Callable[[int, int, str], None],
-    *,
-    weights: Path,
-    tokens: Path,
-    split: str | None,
-    beam: int,
-    batch_size: int,
-    device: str,
-    threads: int,
-) -> CaptionReport:
     import torch
 
-    from prbench.errors import TableError
-    from prbench_adapters.captions.network import beam_search, greedy
-    from prbench_adapters.captions.training import load_captioner, sources
-    from prbench_adapters.diffusion.method import resolve
-    from prbench_adapters.diffusion.model import torch_device
-    from prbench_benchmarks.captions.files import CaptionRow, TokensFile, write_captions
+    from prbench_adapters.captions.training import describe, load_captioner
+    from prbench_benchmarks.captions.files import TokensFile, write_captions
 
     torch.set_num_threads(threads)
-    where = torch_device(device)
-    network, vocabulary = load_captioner(resolve(weights, "tm2t-small"), where)
+    network, vocabulary = load_captioner(weights, device)
     shape = network.configuration
     read = TokensFile.read(tokens)
-    if read.codes != shape.codes:
-        raise TableError(f"{tokens}: expected {shape.codes} codes, as in the training, found {read.codes}.")
-    places = read.places(*([split] if split else []))
-    if not places:
-        raise TableError(f"{tokens}: expected motions of split '{split}', found none.")
-    places.sort(key=lambda place: len(read.tokens[place]))  # motions of similar length need little padding
-    decoding = {"start": shape.pieces, "end": shape.pieces + 1, "longest": shape.longest + 1}
-    rows = {}
-    together = 1 if beam > 1 else batch_size
-    for first in range(0, len(places), together):
-        batch = places[first : first + together]
-        source = sources([read.tokens[place] for place in batch], shape.codes, shape.longest).to(where)
-        if beam > 1:
-            found = [beam_search(network, source, width=beam, **decoding)[1:].tolist()]
-        else:
-            found = greedy(network, source, **decoding)[0][:, 1:].tolist()
-        for place, ids in zip(batch, found, strict=True):
-            cut = decoding["end"] not in ids
-            pieces = ids if cut else ids[: ids.index(decoding["end"])]
-            text = vocabulary.decode([each for each in pieces if each < shape.pieces])
-            about = {"motion_id": read.motion_ids[place], "references": read.texts[place]}
-            rows[place] = CaptionRow(candidate=text, cut=cut, **about)
-        tell(len(rows), len(places), "motions")
-    write_captions(out, [rows[place] for place in sorted(rows)])
-    return CaptionReport(
+    rows = [row for row in read.rows if split in (None, row.split)]
+    if read.codes != shape.codes or not rows:
+        found = f"{len(rows)} motions of {read.codes} codes"
+        raise TableError(f"{tokens}: expected motions of {shape.codes} codes, split '{split or 'any'}', found {found}.")
+    captions = {}
+    with progress("describing") as tell:
+        for row in describe(network, vocabulary, rows, **given):
+            captions[row.motion_id] = row
+            tell(len(captions), len(rows), "motions")
+    write_captions(out, [captions[row.motion_id] for row in rows])
+    report = CaptionReport(
         captions=out,
         motions=len(rows),
         left_out=read.left_out,
         longest=shape.longest,
-        cut_motions=sum(len(read.tokens[place]) > shape.longest for place in places),
-        cut_captions=sum(row.cut for row in rows.values()),
+        cut_motions=sum(len(row.tokens) > shape.longest for row in rows),
+        cut_captions=sum(row.cut for row in captions.values()),
     )
+    cut = f"longer than {shape.longest} tokens: {report.cut_motions}, captions cut there: {report.cut_captions}"
+    said = f"{report.motions} motions; {cut}; left out, without a text: {report.left_out}\nwritten: {out}"
+    return Answer(report, lambda: print(said))

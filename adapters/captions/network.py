@@ -67,10 +67,11 @@ class Attention(nn.Module):
     def __init__(self, shape: CaptionerConfiguration) -> None:
         super().__init__()
         inner = shape.heads * shape.head_width
-        self.heads, self.dropout = shape.heads, shape.dropout
+        self.heads = shape.heads
         self.w_qs, self.w_ks, self.w_vs = (nn.Linear(shape.width, inner) for _ in range(3))
         self.fc = nn.Linear(inner, shape.width)
         self.layer_norm = nn.LayerNorm(shape.width, eps=_NORM)
+        self.dropout = nn.Dropout(shape.dropout)
 
     def forward(self, stream: Stream, memory: Memory, seen: Seen) -> Stream:
         """Return ``stream`` with what it reads in ``memory``, where that may be seen."""
@@ -78,8 +79,7 @@ class Attention(nn.Module):
         split = [each.unflatten(-1, (self.heads, -1)).transpose(1, 2) for each in projected]
         chance = _ATTENTION_DROPOUT if self.training else 0.0
         found = functional.scaled_dot_product_attention(*split, attn_mask=seen, dropout_p=chance)
-        added = self.fc(found.transpose(1, 2).flatten(2))
-        return self.layer_norm(stream + functional.dropout(added, self.dropout, self.training))
+        return self.layer_norm(stream + self.dropout(self.fc(found.transpose(1, 2).flatten(2))))
 
 
 class FeedForward(nn.Module):
@@ -87,15 +87,14 @@ class FeedForward(nn.Module):
 
     def __init__(self, shape: CaptionerConfiguration) -> None:
         super().__init__()
-        self.dropout = shape.dropout
         self.w_1 = nn.Linear(shape.width, shape.inner)
         self.w_2 = nn.Linear(shape.inner, shape.width)
         self.layer_norm = nn.LayerNorm(shape.width, eps=_NORM)
+        self.dropout = nn.Dropout(shape.dropout)
 
     def forward(self, stream: Stream) -> Stream:
         """Return ``stream`` after the layer."""
-        added = self.w_2(functional.relu(self.w_1(stream)))
-        return self.layer_norm(stream + functional.dropout(added, self.dropout, self.training))
+        return self.layer_norm(stream + self.dropout(self.w_2(functional.relu(self.w_1(stream)))))
 
 
 class Captioner(nn.Module):
@@ -108,30 +107,21 @@ class Captioner(nn.Module):
     def __init__(self, configuration: CaptionerConfiguration) -> None:
         super().__init__()
         shape = self.configuration = configuration
-        parts: dict[str, Any] = {}
-        for part, name, size in (("encoder", "src_word_emb", shape.codes), ("decoder", "trg_word_emb", shape.pieces)):
-            attentions = ("slf_attn",) if part == "encoder" else ("slf_attn", "enc_attn")
-            layers = [
-                nn.ModuleDict({**{each: Attention(shape) for each in attentions}, "pos_ffn": FeedForward(shape)})
-                for _ in range(shape.layers)
-            ]
-            embedding = nn.Embedding(size + 3, shape.width, padding_idx=size + 2)
-            parts[part] = nn.ModuleDict({name: embedding, "layer_stack": nn.ModuleList(layers)})
-        self.encoder: Any = parts["encoder"]
-        self.decoder: Any = parts["decoder"]
+        self.source_padding, self.padding = shape.codes + 2, shape.pieces + 2
+
+        def part(name: str, padding: int, *attentions: str) -> Any:
+            layers = nn.ModuleList()
+            for _ in range(shape.layers):
+                inside: dict[str, nn.Module] = {each: Attention(shape) for each in attentions}
+                layers.append(nn.ModuleDict(inside | {"pos_ffn": FeedForward(shape)}))
+            embedding = nn.Embedding(padding + 1, shape.width, padding_idx=padding)
+            return nn.ModuleDict({name: embedding, "layer_stack": layers})
+
+        self.encoder = part("src_word_emb", self.source_padding, "slf_attn")
+        self.decoder = part("trg_word_emb", self.padding, "slf_attn", "enc_attn")
         for parameter in self.parameters():
             if parameter.ndim > 1:
                 nn.init.xavier_uniform_(parameter)  # the rows of the padding, too
-
-    @property
-    def source_padding(self) -> int:
-        """Id behind the end of a motion."""
-        return self.configuration.codes + 2
-
-    @property
-    def padding(self) -> int:
-        """Id behind the end of a text."""
-        return self.configuration.pieces + 2
 
     def encode(self, source: Tokens) -> tuple[Stream, Seen]:
         """Return the memory of motions, and which of its places are none of padding."""
@@ -240,16 +230,15 @@ def beam_search(
     tokens = source.new_full((width, 1), start)
     scores = torch.full((width,), -math.inf, device=source.device)
     scores[0] = 0.0  # at first all beams are the same one
+    ended = tokens == end
     for _ in range(longest):
         chances = network.decode(tokens, *memory)[:, -1].float().log_softmax(-1) + scores[:, None]
         scores, places = chances.flatten().topk(width)
         follow, following = places // chances.shape[1], places % chances.shape[1]
         tokens = torch.cat([tokens[follow], following[:, None]], dim=1)
-        is_end = tokens == end
-        if bool(is_end.any(1).all()):
-            lengths = is_end.int().argmax(1) + 1
-            best = int((scores / lengths**_LENGTH_POWER).argmax())
-            return tokens[best, : int(lengths[best])]
-    likeliest = tokens[0]
-    ends = (likeliest == end).nonzero()
-    return likeliest[: int(ends[0]) + 1] if len(ends) else likeliest
+        ended = (tokens == end).cumsum(1) > 0
+        if bool(ended[:, -1].all()):
+            break
+    lengths = (~ended).sum(1) + ended[:, -1].int()
+    best = int((scores / lengths**_LENGTH_POWER).argmax()) if bool(ended[:, -1].all()) else 0
+    return tokens[best, : int(lengths[best])]

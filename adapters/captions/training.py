@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,18 @@ from torch import Tensor, nn
 from prbench.errors import TableError, UsageError
 from prbench.files.bounded import require
 from prbench.randomness import named_generator
-from prbench_adapters.captions.network import Captioner, CaptionerConfiguration, caption_losses
+from prbench_adapters.captions.network import Captioner, CaptionerConfiguration, beam_search, caption_losses, greedy
 from prbench_adapters.captions.vocabulary import Gpt2, Vocabulary, Words
+from prbench_adapters.diffusion.method import resolve
+from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.prediction.training import converted
 from prbench_adapters.tensors import TensorRecord
 from prbench_adapters.training.batches import DrawnDataset
 from prbench_adapters.training.store import parts_of
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import read_weights, start_from, weights_header
-from prbench_benchmarks.captions.files import TokensFile
-from prbench_benchmarks.captions.metrics import load_caption_protocol
+from prbench_benchmarks.captions.files import CaptionRow, TokensFile, TokensRow
+from prbench_benchmarks.captions.metrics import normalised
 
 KIND = "tm2t"
 _SHORTER = 1 / 3  # of the draws lose one token at either end
@@ -55,7 +57,7 @@ class TokensDataset(DrawnDataset):
         seed: Seed of the draws.
 
     Raises:
-        UsageError: if files have other codes than one another, or lack splits where one is to be validated on.
+        UsageError: if a file has other codes than the first one.
         TableError: if a file has no motion of this split.
         InputFileError: if a file holds no motion tokens with texts.
     """
@@ -64,24 +66,19 @@ class TokensDataset(DrawnDataset):
         self.tables = tuple(each if isinstance(each, TokensFile) else TokensFile.read(each) for each in tables)
         self.split, self.longest, self.seed = split, longest, seed
         self.codes = self.tables[0].codes
-        normalised = load_caption_protocol().normalised
-        self.tokens: list[Int[np.ndarray, " _"]] = []
-        self.texts: list[tuple[str, ...]] = []
+        self.rows: list[TokensRow] = []
         counts = []
         for table in self.tables:
             if table.codes != self.codes:
-                raise UsageError(f"{table.path}: expected {self.codes} codes as in the first file, found {table.codes}.")
-            if split == "validation" and None in table.splits:
-                problem = "expected a column 'split' to validate by, found none. Add it, or --set validation.every=0."
-                raise UsageError(f"{table.path}: {problem}")
-            places = table.places(*parts_of(split))
-            if not places:
-                raise TableError(f"{table.path}: expected motions of split '{split}', found none.")
-            self.tokens += [table.tokens[place] for place in places]
-            self.texts += [tuple(map(normalised, table.texts[place])) for place in places]
-            counts.append(len(places))
+                raise UsageError(f"{table.path}: expected {self.codes} codes as in the first, found {table.codes}.")
+            chosen = [row for row in table.rows if row.split in parts_of(split)]
+            if not chosen:
+                remedy = "The column 'split' decides; without it all is train: --set validation.every=0."
+                raise TableError(f"{table.path}: expected motions of split '{split}', found none. {remedy}")
+            self.rows += chosen
+            counts.append(len(chosen))
         self.counts = tuple(counts)
-        self.lengths = np.minimum([len(each) for each in self.tokens], longest)
+        self.lengths = np.minimum([len(row.tokens) for row in self.rows], longest)
 
     def collate(self, items: Sequence[tuple[Int[np.ndarray, " _"], str]]) -> CaptionBatch:
         """Pad motions, and put their texts beside them."""
@@ -92,11 +89,12 @@ class TokensDataset(DrawnDataset):
         """Return the item of a place, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         place, epoch = index if isinstance(index, tuple) else (index, 0)
         drawn = named_generator("prbench-training-tokens", self.seed, epoch, place)
-        tokens, texts = self.tokens[place], self.texts[place]
-        text = texts[int(drawn.integers(len(texts)))]
-        if drawn.random() < _SHORTER and len(tokens) > 1:
-            tokens = tokens[1:] if drawn.random() < 0.5 else tokens[:-1]
-        return tokens, text
+        row = self.rows[place]
+        text = normalised(row.text[int(drawn.integers(len(row.text)))])
+        shorter, at_head = drawn.random(2) < (_SHORTER, 0.5)
+        if not shorter or len(row.tokens) < 2:
+            return row.tokens, text
+        return row.tokens[1:] if at_head else row.tokens[:-1], text
 
 
 class CaptionTraining(TrainingModule):
@@ -154,7 +152,7 @@ class CaptionTask:
             InputFileError: if the initial weights do not fit it, or GPT-2's files are not there.
         """
         shape = converted(model, CaptionerConfiguration, "model")
-        texts = [text for each in data.texts for text in each]
+        texts = [normalised(text) for row in data.rows for text in row.text]
         words = ()
         if shape.text == "words":
             words = Words.of(texts).words
@@ -164,24 +162,55 @@ class CaptionTask:
         shape = msgspec.structs.replace(shape, codes=data.codes, pieces=len(vocabulary), words=words)
         network = Captioner(shape)
         long_texts = sum(len(vocabulary.encode(text)) > shape.longest for text in texts)
-        long_motions = sum(len(each) > shape.longest for each in data.tokens)
-        empty = sum(table.empty_texts for table in data.tables)
+        long_motions = sum(len(row.tokens) > shape.longest for row in data.rows)
         cut = f"cut at {shape.longest}: {long_texts} of {len(texts)} texts, {long_motions} of {len(data)} motions"
-        origin = (f"{cut}; texts without letters, left out: {empty}", *start_from(initial, KIND, shape, network))
+        origin = (cut, *start_from(initial, KIND, shape, network))
         licences = "; ".join(sorted({table.info.licence for table in data.tables}))
         return CaptionTraining(network, vocabulary, licences, origin)
 
 
-def load_captioner(path: Path, device: torch.device) -> tuple[Captioner, Vocabulary]:
-    """Read a trained captioner.
+def load_captioner(path: Path, device: str) -> tuple[Captioner, Vocabulary]:
+    """Read a trained captioner: a file of weights, or the folder of its training.
 
     Raises:
+        AdapterError: if there is no such file or device.
         InputFileError: if the file holds none, or GPT-2's files are not there or others than it was trained with.
     """
-    file = read_weights(path, kind=KIND)
+    where = torch_device(device)
+    file = read_weights(resolve(path, f"{KIND}-small"), kind=KIND)
     shape = file.configuration(CaptionerConfiguration)
     vocabulary = Gpt2() if shape.text == "gpt2" else Words(shape.words)
     require(path, (len(vocabulary) == shape.pieces, "pieces of text", str(shape.pieces), len(vocabulary), ""))
     network = Captioner(shape)
     file.load_into(network, "network")
-    return network.eval().requires_grad_(False).to(device), vocabulary
+    return network.eval().requires_grad_(False).to(where), vocabulary
+
+
+def describe(
+    network: Captioner, vocabulary: Vocabulary, rows: Sequence[TokensRow], *, beam: int, batch_size: int
+) -> Iterator[CaptionRow]:
+    """Write a caption of each motion, those of few tokens first.
+
+    Args:
+        network: In evaluation mode.
+        vocabulary: Its pieces of text.
+        rows: The motions.
+        beam: Texts that beam search keeps; with 1 the likeliest piece follows the other.
+        batch_size: Motions that are described at once without beam search.
+    """
+    shape = network.configuration
+    end = shape.pieces + 1
+    decoding = {"start": shape.pieces, "end": end, "longest": shape.longest + 1}
+    rows = sorted(rows, key=lambda row: len(row.tokens))  # similar lengths need little padding
+    together = 1 if beam > 1 else batch_size
+    for batch in (rows[first : first + together] for first in range(0, len(rows), together)):
+        source = sources([row.tokens for row in batch], shape.codes, shape.longest)
+        source = source.to(next(network.parameters()).device)
+        if beam > 1:
+            written = beam_search(network, source, width=beam, **decoding)[None]
+        else:
+            written, _ = greedy(network, source, **decoding)
+        for row, ids in zip(batch, written[:, 1:].tolist(), strict=True):
+            pieces = ids[: ids.index(end)] if end in ids else ids
+            text = vocabulary.decode([each for each in pieces if each < shape.pieces])
+            yield CaptionRow(motion_id=row.motion_id, candidate=text, references=row.text, cut=end not in ids)

@@ -7,10 +7,10 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from prbench.errors import InputFileError, MissingExtraError
-from prbench.files.bounded import foreign_input, require_size
+from prbench.errors import MissingExtraError
+from prbench.files.bounded import require, require_size
 from prbench.limits import HARMLESS_SIZE
 
 GPT2_VARIABLE = "PRBENCH_GPT2"  # environment variable: a local folder or a hub id that was downloaded before
@@ -18,22 +18,10 @@ _GPT2_HUB_ID = "openai-community/gpt2"
 _PIECE = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*|[^\w\s]")
 _BEFORE = re.compile(r" (?=[.,;:!?)])")  # what stands before no blank
 _UNKNOWN = "<unknown>"
-
-
-class Vocabulary(Protocol):
-    """Pieces of text by their ids, which count from 0."""
-
-    def __len__(self) -> int:
-        """Return the number of pieces."""
-        ...
-
-    def encode(self, text: str) -> list[int]:
-        """Return the ids of a text's pieces."""
-        ...
-
-    def decode(self, ids: Sequence[int]) -> str:
-        """Return the text of some pieces."""
-        ...
+_REMEDY = (
+    f"Run once, where there is internet: hf download {_GPT2_HUB_ID} vocab.json merges.txt --local-dir gpt2;"
+    f" then set {GPT2_VARIABLE}=gpt2. Or train with --set model.text=words."
+)
 
 
 class Words:
@@ -69,7 +57,6 @@ class Gpt2:
         InputFileError: if its files are not there; the message says how to get them.
     """
 
-    @foreign_input()
     def __init__(self) -> None:
         try:
             from transformers import GPT2TokenizerFast
@@ -78,23 +65,16 @@ class Gpt2:
         source = os.environ.get(GPT2_VARIABLE) or _GPT2_HUB_ID
         for file in Path(source).iterdir() if Path(source).is_dir() else ():
             require_size(file, largest=HARMLESS_SIZE)
-        found = "none"
+        self._tokenizer: Any = ()
+        why = ""
         try:
-            self._tokenizer: Any = GPT2TokenizerFast.from_pretrained(
-                source, local_files_only=True, trust_remote_code=False
-            )
-            # transformers takes a missing vocabulary for an empty one.
-            found = f"a vocabulary of {len(self._tokenizer)} pieces"
-            usable = len(self._tokenizer) > 256
+            given = {"local_files_only": True, "trust_remote_code": False}
+            self._tokenizer = GPT2TokenizerFast.from_pretrained(source, **given)
         except (OSError, ValueError, KeyError, TypeError) as error:
-            found, usable = f"{found} ({str(error).partition(chr(10))[0][:200]})", False
-        if not usable:
-            remedy = (
-                f"Run once, where there is internet: hf download {_GPT2_HUB_ID} vocab.json merges.txt --local-dir gpt2;"
-                f" then set {GPT2_VARIABLE}=gpt2. Or train with --set model.text=words."
-            )
-            expected = "GPT-2's vocab.json and merges.txt"
-            raise InputFileError(source, "", expected=expected, found=found, remedy=remedy)
+            why = f" ({str(error).partition('. ')[0][:200]})"
+        # transformers takes missing files for a vocabulary of one piece.
+        found = f"{len(self._tokenizer)} pieces{why}"
+        require(source, (len(self._tokenizer) > 256, "", "GPT-2's vocab.json and merges.txt", found, _REMEDY))
 
     def __len__(self) -> int:
         return len(self._tokenizer)
@@ -106,3 +86,6 @@ class Gpt2:
     def decode(self, ids: Sequence[int]) -> str:
         """Return the text of some pieces."""
         return self._tokenizer.decode(list(ids), clean_up_tokenization_spaces=False)
+
+
+Vocabulary = Words | Gpt2

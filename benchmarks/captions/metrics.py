@@ -11,69 +11,34 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from functools import cache
 from itertools import zip_longest
 from typing import Any
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import MissingExtraError, UnloadableExtraError
-from prbench.protocol.manifests import digest_of, read_toml
 
 References = Sequence[Sequence[str]]  # of each candidate
+LONGEST = 160  # tokens of a motion, and pieces or words of a caption; public programs cut at 20 words or 40 tokens
+WEARER = ("#C C", "#C", "the camera wearer", "the wearer", "C")  # all become the last one; pronouns stay
+_NAMES = re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, WEARER))})(?!\w)", re.IGNORECASE)
 _LONGEST_GRAM = 4
 
 
-class CaptionProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One version of the rules; the file says what each of them is."""
-
-    version: int
-    longest: int
-    wearer: tuple[str, ...]
-    tokenizer: str
-    lowercase: bool
-    stemmer: bool
-    beta: float
-    sigma: float
-    language: str
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the values."""
-        return digest_of(self)
-
-    def normalised(self, text: str) -> str:
-        """Return a text in which every name of the wearer is the last one, and in which nothing else is changed."""
-        names = "|".join(map(re.escape, self.wearer))
-        return re.sub(rf"(?<!\w)(?:{names})(?!\w)", self.wearer[-1], text, flags=re.IGNORECASE)
+def normalised(text: str) -> str:
+    """Return a text in which every name of the wearer is the last of :data:`WEARER`, and nothing else is changed."""
+    return _NAMES.sub(WEARER[-1], text)
 
 
-@cache
-def load_caption_protocol() -> CaptionProtocol:
-    """Return the protocol of the benchmark."""
-    return read_toml("prbench_benchmarks.captions", "protocol.toml", CaptionProtocol)
-
-
-def bleu(
-    candidates: Sequence[str],
-    references: References,
-    order: int = 4,
-    *,
-    tokenizer: str = "13a",
-    lowercase: bool = False,
-    smoothing: str = "none",
-) -> tuple[Any, str]:
+def bleu(candidates: Sequence[str], references: References, order: int = 4, **settings: Any) -> tuple[Any, str]:
     """BLEU-n of a whole corpus by sacrebleu; without smoothing it is 0 where no n-gram of some length is found.
 
     Args:
         candidates: Texts that are scored.
         references: Texts that each of them is compared with.
         order: Longest n-gram.
-        tokenizer: Tokeniser of sacrebleu.
-        lowercase: Compare in lower case.
-        smoothing: Method of sacrebleu.
+        settings: Settings of sacrebleu's ``BLEU``; by default its tokeniser ``13a``, case, and no smoothing.
 
     Returns:
         sacrebleu's result (``score`` from 0 to 100, ``precisions``, ``bp``, ``sys_len``, ``ref_len``), and the
@@ -82,8 +47,8 @@ def bleu(
     Raises:
         MissingExtraError: if sacrebleu is not installed.
     """
-    settings = {"tokenize": tokenizer, "lowercase": lowercase, "smooth_method": smoothing}
-    metric = _package("sacrebleu.metrics", "sacrebleu", "captions", "BLEU").BLEU(**settings, max_ngram_order=order)
+    chosen = {"tokenize": "13a", "smooth_method": "none", "max_ngram_order": order} | settings
+    metric = _package("sacrebleu.metrics", "sacrebleu", "captions", "BLEU").BLEU(**chosen)
     # sacrebleu wants the first references of all candidates, then the second ones; None where one has fewer.
     score = metric.corpus_score(list(candidates), list(zip_longest(*references)))
     return score, str(metric.get_signature())
@@ -121,9 +86,7 @@ def captioning_rouge_l(candidate: str, references: Sequence[str], *, beta: float
     return (1 + beta**2) * precision * recall / max(recall + beta**2 * precision, 1e-12)
 
 
-def cider_d(
-    candidates: Sequence[str], references: References, *, sigma: float = 6.0
-) -> Float[np.ndarray, " clips"]:
+def cider_d(candidates: Sequence[str], references: References, *, sigma: float = 6.0) -> Float[np.ndarray, " clips"]:
     """CIDEr-D of each candidate, from 0 to 10; whitespace tokens.
 
     The mean over n = 1..4, and over references, of the cosine of n-grams weighted by count × log(clips / clips whose
@@ -143,28 +106,27 @@ def cider_d(
 
     clips = Counter(gram for texts in references for gram in {gram for text in texts for gram in grams(text)})
 
-    def vector(text: str) -> tuple[list[dict[tuple[str, ...], float]], int]:
+    def vectors(text: str) -> list[dict[tuple[str, ...], float]]:
         weights: list[dict[tuple[str, ...], float]] = [{} for _ in range(_LONGEST_GRAM)]
         for gram, count in grams(text).items():
-            weights[len(gram) - 1][gram] = count * (math.log(len(references)) - math.log(max(clips[gram], 1)))
-        return weights, max(len(text.split()) - 1, 0)
+            weights[len(gram) - 1][gram] = count * math.log(len(references) / max(clips[gram], 1))
+        return weights
 
-    scores = []
-    for text, texts in zip(candidates, references, strict=True):
-        own, own_length = vector(text)
-        total = 0.0
-        for other, length in map(vector, texts):
-            penalty = math.exp(-((own_length - length) ** 2) / (2 * sigma**2))
-            for mine, theirs in zip(own, other):
+    scores = np.zeros(len(references))
+    for place, (text, texts) in enumerate(zip(candidates, references, strict=True)):
+        for other in texts:
+            apart = max(len(text.split()) - 1, 0) - max(len(other.split()) - 1, 0)
+            share = 10.0 * math.exp(-(apart**2) / (2 * sigma**2)) / _LONGEST_GRAM / len(texts)
+            for mine, theirs in zip(vectors(text), vectors(other)):
                 norms = math.hypot(*mine.values()) * math.hypot(*theirs.values())
-                shared = sum(min(weight, theirs[gram]) * theirs[gram] for gram, weight in mine.items() if gram in theirs)
-                total += penalty * shared / norms if norms else 0.0
-        scores.append(10.0 * total / _LONGEST_GRAM / len(texts))
-    return np.array(scores)
+                common = sum(min(mine[gram], theirs[gram]) * theirs[gram] for gram in mine.keys() & theirs.keys())
+                scores[place] += share * common / norms if norms else 0.0
+    return scores
 
 
 def bert_score(
-    candidates: Sequence[str], references: References, *, language: str = "en"
+    candidates: Sequence[str],
+    references: References,
 ) -> tuple[Float[np.ndarray, " clips"], str]:
     """F1 of BERTScore, each against the best reference: IDF of the references, rescaled, so it can be negative.
 
@@ -178,7 +140,7 @@ def bert_score(
     module = _package("bert_score", "bert-score", "bertscore", "BERTScore")
     texts = [text for each in references for text in each]
     try:
-        scorer = module.BERTScorer(lang=language, idf=True, idf_sents=texts, rescale_with_baseline=True)
+        scorer = module.BERTScorer(lang="en", idf=True, idf_sents=texts, rescale_with_baseline=True)
     except OSError as error:
         remedy = "Load its model once where there is internet, and copy the hub's cache (HF_HOME)."
         raise UnloadableExtraError("bert-score", "BERTScore", str(error).partition("\n")[0], remedy) from error
