@@ -18,15 +18,13 @@ class CaptionReport(msgspec.Struct, frozen=True, kw_only=True):
         captions: The file, one motion a line.
         motions: Number of motions.
         left_out: Number of motions without a text to compare with.
-        longest: Most tokens of a motion, and most pieces of a caption.
-        cut_motions: Number of motions that are longer.
-        cut_captions: Number of captions that reach the limit before their end.
+        cut_motions: Number of motions that are longer than the captioner reads.
+        cut_captions: Number of captions that reach its limit before their end.
     """
 
     captions: Path
     motions: int
     left_out: int
-    longest: int
     cut_motions: int
     cut_captions: int
 
@@ -72,7 +70,6 @@ def caption(
         captions=out,
         motions=len(rows),
         left_out=read.left_out,
-        longest=shape.longest,
         cut_motions=sum(len(row.tokens) > shape.longest for row in rows),
         cut_captions=sum(row.cut for row in captions.values()),
     )

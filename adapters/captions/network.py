@@ -181,9 +181,7 @@ def caption_losses(
 
 
 @torch.inference_mode()
-def greedy(
-    network: Captioner, source: Int[Tensor, "batch places"], *, start: int, end: int, longest: int
-) -> tuple[Tokens, Int[Tensor, " batch"]]:
+def greedy(network: Captioner, source: Int[Tensor, "batch _"], *, start: int, end: int, longest: int) -> Tokens:
     """Write the likeliest id after the other, until all texts have ended.
 
     Args:
@@ -194,21 +192,21 @@ def greedy(
         longest: Most ids behind the start.
 
     Returns:
-        The ids, start included; and how many of each text stand between start and end.
+        The ids, start included.
     """
     memory = network.encode(source)
     tokens = source.new_full((len(source), 1), start)
-    ended = torch.zeros(len(source), dtype=torch.bool, device=source.device)
+    ended = tokens[:, 0] == end
     while tokens.shape[1] <= longest and not bool(ended.all()):
         following = network.decode(tokens, *memory)[:, -1].argmax(-1)
         tokens = torch.cat([tokens, torch.where(ended, end, following)[:, None]], dim=1)
-        ended |= tokens[:, -1] == end
-    return tokens, ((tokens[:, 1:] == end).cumsum(1) == 0).sum(1)
+        ended |= following == end
+    return tokens
 
 
 @torch.inference_mode()
 def beam_search(
-    network: Captioner, source: Int[Tensor, "1 length"], *, start: int, end: int, longest: int, width: int
+    network: Captioner, source: Int[Tensor, "1 _"], width: int, *, start: int, end: int, longest: int
 ) -> Int[Tensor, " ids"]:
     """Write the text of one motion by beam search.
 
@@ -218,10 +216,10 @@ def beam_search(
     Args:
         network: In evaluation mode.
         source: The motion with start and end.
+        width: Number of texts that are kept.
         start: First id of a text.
         end: Last id of a text.
         longest: Most ids behind the start.
-        width: Number of texts that are kept.
 
     Returns:
         The ids, start and end included.

@@ -17,7 +17,7 @@ from prbench.errors import TableError, UsageError
 from prbench.files.bounded import require
 from prbench.randomness import named_generator
 from prbench_adapters.captions.network import Captioner, CaptionerConfiguration, beam_search, caption_losses, greedy
-from prbench_adapters.captions.vocabulary import Gpt2, Vocabulary, Words
+from prbench_adapters.captions.vocabulary import vocabulary_of, words_of
 from prbench_adapters.diffusion.method import resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.prediction.training import converted
@@ -107,7 +107,7 @@ class CaptionTraining(TrainingModule):
         origin: Lines for the card.
     """
 
-    def __init__(self, network: Captioner, vocabulary: Vocabulary, licences: str, origin: tuple[str, ...]) -> None:
+    def __init__(self, network: Captioner, vocabulary: Any, licences: str, origin: tuple[str, ...]) -> None:
         super().__init__()
         self.network, self.vocabulary, self.licences, self.origin = network, vocabulary, licences, origin
 
@@ -153,12 +153,10 @@ class CaptionTask:
         """
         shape = converted(model, CaptionerConfiguration, "model")
         texts = [normalised(text) for row in data.rows for text in row.text]
-        words = ()
-        if shape.text == "words":
-            words = Words.of(texts).words
-            if initial is not None:  # its words keep their places
-                words = read_weights(initial, kind=KIND).configuration(CaptionerConfiguration).words
-        vocabulary = Gpt2() if shape.text == "gpt2" else Words(words)
+        words = words_of(texts) if shape.text == "words" else ()
+        if initial is not None:  # its words keep their places
+            words = read_weights(initial, kind=KIND).configuration(CaptionerConfiguration).words
+        vocabulary = vocabulary_of(shape.text, words)
         shape = msgspec.structs.replace(shape, codes=data.codes, pieces=len(vocabulary), words=words)
         network = Captioner(shape)
         long_texts = sum(len(vocabulary.encode(text)) > shape.longest for text in texts)
@@ -169,7 +167,7 @@ class CaptionTask:
         return CaptionTraining(network, vocabulary, licences, origin)
 
 
-def load_captioner(path: Path, device: str) -> tuple[Captioner, Vocabulary]:
+def load_captioner(path: Path, device: str) -> tuple[Captioner, Any]:
     """Read a trained captioner: a file of weights, or the folder of its training.
 
     Raises:
@@ -179,7 +177,7 @@ def load_captioner(path: Path, device: str) -> tuple[Captioner, Vocabulary]:
     where = torch_device(device)
     file = read_weights(resolve(path, f"{KIND}-small"), kind=KIND)
     shape = file.configuration(CaptionerConfiguration)
-    vocabulary = Gpt2() if shape.text == "gpt2" else Words(shape.words)
+    vocabulary = vocabulary_of(shape.text, shape.words)
     require(path, (len(vocabulary) == shape.pieces, "pieces of text", str(shape.pieces), len(vocabulary), ""))
     network = Captioner(shape)
     file.load_into(network, "network")
@@ -187,7 +185,7 @@ def load_captioner(path: Path, device: str) -> tuple[Captioner, Vocabulary]:
 
 
 def describe(
-    network: Captioner, vocabulary: Vocabulary, rows: Sequence[TokensRow], *, beam: int, batch_size: int
+    network: Captioner, vocabulary: Any, rows: Sequence[TokensRow], *, beam: int, batch_size: int
 ) -> Iterator[CaptionRow]:
     """Write a caption of each motion, those of few tokens first.
 
@@ -199,17 +197,16 @@ def describe(
         batch_size: Motions that are described at once without beam search.
     """
     shape = network.configuration
+    device = next(network.parameters()).device
     end = shape.pieces + 1
     decoding = {"start": shape.pieces, "end": end, "longest": shape.longest + 1}
     rows = sorted(rows, key=lambda row: len(row.tokens))  # similar lengths need little padding
     together = 1 if beam > 1 else batch_size
     for batch in (rows[first : first + together] for first in range(0, len(rows), together)):
-        source = sources([row.tokens for row in batch], shape.codes, shape.longest)
-        source = source.to(next(network.parameters()).device)
-        if beam > 1:
-            written = beam_search(network, source, width=beam, **decoding)[None]
-        else:
-            written, _ = greedy(network, source, **decoding)
+        source = sources([row.tokens for row in batch], shape.codes, shape.longest).to(device)
+        written = (
+            beam_search(network, source, beam, **decoding)[None] if beam > 1 else greedy(network, source, **decoding)
+        )
         for row, ids in zip(batch, written[:, 1:].tolist(), strict=True):
             pieces = ids[: ids.index(end)] if end in ids else ids
             text = vocabulary.decode([each for each in pieces if each < shape.pieces])

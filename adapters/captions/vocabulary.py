@@ -31,12 +31,6 @@ class Words:
         self.words = tuple(words)
         self._places = {word: place for place, word in enumerate(words)}
 
-    @classmethod
-    def of(cls, texts: Iterable[str]) -> Words:
-        """Return the words of some texts, those of most texts first."""
-        counts = Counter(word for text in texts for word in _PIECE.findall(text))
-        return cls((_UNKNOWN, *sorted(counts, key=lambda word: (-counts[word], word))))
-
     def __len__(self) -> int:
         return len(self.words)
 
@@ -49,43 +43,37 @@ class Words:
         return _BEFORE.sub("", " ".join(self.words[each] for each in ids if each))
 
 
-class Gpt2:
-    """GPT-2's byte pairs, which any text is made of; prbench downloads nothing.
+def words_of(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return the vocabulary of some texts: a word for unknown ones, then the others, the most frequent first."""
+    counts = Counter(word for text in texts for word in _PIECE.findall(text))
+    return (_UNKNOWN, *sorted(counts, key=lambda word: (-counts[word], word)))
+
+
+def gpt2() -> Any:
+    """Return GPT-2's byte pairs, which any text is made of; prbench downloads nothing.
 
     Raises:
         MissingExtraError: if transformers is not installed.
         InputFileError: if its files are not there; the message says how to get them.
     """
-
-    def __init__(self) -> None:
-        try:
-            from transformers import GPT2TokenizerFast
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("transformers", "text", "GPT-2's pieces of text") from error
-        source = os.environ.get(GPT2_VARIABLE) or _GPT2_HUB_ID
-        for file in Path(source).iterdir() if Path(source).is_dir() else ():
-            require_size(file, largest=HARMLESS_SIZE)
-        self._tokenizer: Any = ()
-        why = ""
-        try:
-            given = {"local_files_only": True, "trust_remote_code": False}
-            self._tokenizer = GPT2TokenizerFast.from_pretrained(source, **given)
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            why = f" ({str(error).partition('. ')[0][:200]})"
-        # transformers takes missing files for a vocabulary of one piece.
-        found = f"{len(self._tokenizer)} pieces{why}"
-        require(source, (len(self._tokenizer) > 256, "", "GPT-2's vocab.json and merges.txt", found, _REMEDY))
-
-    def __len__(self) -> int:
-        return len(self._tokenizer)
-
-    def encode(self, text: str) -> list[int]:
-        """Return the ids of a text's pieces."""
-        return self._tokenizer.encode(text)
-
-    def decode(self, ids: Sequence[int]) -> str:
-        """Return the text of some pieces."""
-        return self._tokenizer.decode(list(ids), clean_up_tokenization_spaces=False)
+    try:
+        from transformers import GPT2TokenizerFast
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("transformers", "text", "GPT-2's pieces of text") from error
+    source = os.environ.get(GPT2_VARIABLE) or _GPT2_HUB_ID
+    for file in Path(source).iterdir() if Path(source).is_dir() else ():
+        require_size(file, largest=HARMLESS_SIZE)
+    given = {"local_files_only": True, "trust_remote_code": False, "clean_up_tokenization_spaces": False}
+    try:
+        tokenizer = GPT2TokenizerFast.from_pretrained(source, **given)
+        found = f"{len(tokenizer)} pieces"
+        usable = len(tokenizer) > 256  # transformers takes missing files for a vocabulary of one piece
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        usable, found = False, f"none ({str(error).partition('. ')[0][:200]})"
+    require(source, (usable, "", "GPT-2's vocab.json and merges.txt", found, _REMEDY))
+    return tokenizer
 
 
-Vocabulary = Words | Gpt2
+def vocabulary_of(text: str, words: Sequence[str]) -> Any:
+    """Return what has a length, ``encode`` of a text to ids and ``decode`` of ids, for ``gpt2`` or for ``words``."""
+    return gpt2() if text == "gpt2" else Words(words)

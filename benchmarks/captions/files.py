@@ -75,26 +75,6 @@ def write_captions(path: Path, rows: Sequence[CaptionRow]) -> None:
         write_bytes(path, b"".join(msgspec.json.encode(row) + b"\n" for row in rows))
 
 
-class TokensInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What a training's card tells of a file of tokens.
-
-    Attributes:
-        dataset: Name of the corpus, by the file's metadata; else the file's name.
-        title: The file's name.
-        synthetic: The people are synthetic, by the metadata.
-        licence: Licence of motions and texts, by the metadata.
-        identity_digest: Digest of the motions' names.
-        content_digest: SHA-256 of the file.
-    """
-
-    dataset: str
-    title: str
-    synthetic: bool
-    licence: str
-    identity_digest: str
-    content_digest: str
-
-
 @dataclass(frozen=True)
 class TokensRow:
     """A motion as tokens, and its texts, each of which describes all of it."""
@@ -110,17 +90,33 @@ class TokensFile:
     """Motions with texts; those without any are left out.
 
     Attributes:
+        path: The file.
         codes: Number of different tokens; they are 0 to ``codes`` - 1.
+        rows: The motions.
         left_out: Number of motions without a text that has letters.
-        empty_texts: Number of texts without letters, which are left out.
+        dataset: Name of the corpus, by the file's metadata; else the file's name.
+        title: The file's name.
+        synthetic: The people are synthetic, by the metadata.
+        licence: Licence of motions and texts, by the metadata.
+        identity_digest: Digest of the motions' names.
+        content_digest: SHA-256 of the file.
     """
 
     path: Path
-    info: TokensInfo
     codes: int
     rows: tuple[TokensRow, ...]
     left_out: int
-    empty_texts: int
+    dataset: str
+    title: str
+    synthetic: bool
+    licence: str
+    identity_digest: str
+    content_digest: str
+
+    @property
+    def info(self) -> TokensFile:
+        """What a training's card tells of a table, which here is in the file itself."""
+        return self
 
     @classmethod
     @foreign_input()
@@ -138,7 +134,6 @@ class TokensFile:
             expected = "a Parquet file with motion_id (text), tokens (whole numbers) and text (a list of texts) a row"
             raise InputFileError(path, "", expected=expected, found=str(error)) from error
         names = ids.to_pylist()
-        given = texts.to_pylist()
         splits = table["split"].to_pylist() if "split" in table.column_names else ["train"] * len(names)
         about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
         codes = about.get("codes", "none")
@@ -159,16 +154,10 @@ class TokensFile:
         expected = f"one token or more, from 0 to {most - 1}"
         row_of = {"place": "row", "first": 1, "column": "tokens"}
         require_rows(path, beyond, expected, lambda row: f"{tokens[row].tolist()[:8]}", **row_of)
-        kept = [tuple(filter(has_letters, each or ())) for each in given]
+        kept = [tuple(filter(has_letters, each or ())) for each in texts.to_pylist()]
         rows = tuple(TokensRow(*row) for row in zip(names, tokens, kept, splits, strict=True) if row[2])
         require(path, (rows, "column 'text'", "a text with letters", f"none in {len(names)} rows", ""))
-        info = TokensInfo(
-            dataset=about.get("dataset", path.stem),
-            title=path.name,
-            synthetic=about.get("synthetic") == "true",
-            licence=about.get("licence", "unknown"),
-            identity_digest=text_digest(*names),
-            content_digest=file_digest(path),
-        )
-        empty = sum(len(each or ()) for each in given) - sum(map(len, kept))
-        return cls(path, info, most, rows, len(names) - len(rows), empty)
+        known = {"dataset": about.get("dataset", path.stem), "licence": about.get("licence", "unknown")}
+        known |= {"identity_digest": text_digest(*names), "content_digest": file_digest(path), "title": path.name}
+        left_out = len(names) - len(rows)
+        return cls(path, most, rows, left_out, synthetic=about.get("synthetic") == "true", **known)
