@@ -46,7 +46,7 @@ class CaptionReport(msgspec.Struct, frozen=True, kw_only=True):
 def caption(
     *, weights: Path, tokens: Path, out: Path, split: str | None, device: str, threads: int, **given: int
 ) -> Answer:
-    """Describe motions, given as tokens, in words, for `prbench study captions`."""
+    """Describe motions, given as tokens, in words, for `prbench study nymeria-table-6`."""
     import torch
 
     from prbench_adapters.captions.training import describe, load_captioner

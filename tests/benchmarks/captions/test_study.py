@@ -66,7 +66,7 @@ def test_the_command_prints_a_dash_and_the_way_to_install(tmp_path, capsys, monk
     monkeypatch.setitem(sys.modules, "bert_score", None)
     path = captions_file(tmp_path, *rows())
     out = [str(tmp_path / f"table{suffix}") for suffix in (".csv", ".tex", ".md")]
-    assert main(["study", "captions", str(path), "--with-published", "--out", *out, "--json"]) == 0
+    assert main(["study", "nymeria-table-6", str(path), "--with-published", "--out", *out, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)["report"]
     assert report["files"] == out
     table = (tmp_path / "table.md").read_text(encoding="utf-8")
@@ -79,5 +79,5 @@ def test_the_command_prints_a_dash_and_the_way_to_install(tmp_path, capsys, monk
 
 def test_a_missing_extra_ends_the_command_with_its_own_code(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "sacrebleu.metrics", None)
-    assert main(["study", "captions", str(captions_file(tmp_path, *rows()))]) == 9
+    assert main(["study", "nymeria-table-6", str(captions_file(tmp_path, *rows()))]) == 9
     assert "pip install 'prbench[captions]'" in capsys.readouterr().err
