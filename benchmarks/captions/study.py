@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,13 +40,13 @@ def captions_table(paths: Sequence[Path], *, with_published: bool) -> Table:
     for path in paths:
         rows = read_captions(path)
         values, remarks = score_captions(rows)
-        about = {"method": path.stem, "sequences": len(rows)}
+        about: dict[str, Any] = {"method": path.stem, "sequences": len(rows)}
         cells = tuple(Cell(metric=name, value=value, **about) for name, value in values.items())
         measured.append(Row(text={"method": path.stem, "clips": str(len(rows))}, cells=cells))
         notes += [f"{path.name}: {remark}" for remark in remarks]
     printed: dict[str, list[Cell]] = {}
     for number in printed_rows("prbench_benchmarks.captions.published", "table_6") if with_published else ():
-        about = {name: number[name] for name in ("method", "metric", "note")}
+        about: dict[str, Any] = {name: number[name] for name in ("method", "metric", "note")}
         cell = Cell(value=float(number["value"]), dataset="Nymeria", origin="published: Nymeria, Table 6", **about)
         printed.setdefault(number["method"], []).append(cell)
     lines = [Row(text={"method": name}, cells=tuple(cells)) for name, cells in printed.items()]

@@ -38,9 +38,9 @@ def tokens(tmp_path):
 
 
 def test_words_are_written_again_as_they_stood():
-    texts = ["C's left-hand side: up, then (slowly) down.", "C walks, C's tired!"]
+    texts = ["C turns: up, then down.", "C walks, C’s left-hand side tired!"]
     words = Words(words_of(texts))
-    assert [words.decode(words.encode(text)) for text in texts[1:]] == texts[1:]
+    assert [words.decode(words.encode(text)) for text in texts] == texts
     assert words.decode(words.encode("C flies up.")) == "C up."  # an unknown word
     assert words.words[:3] == ("<unknown>", ",", "C")
 
