@@ -57,20 +57,22 @@ def gpt2() -> Any:
         InputFileError: if its files are not there; the message says how to get them.
     """
     try:
-        from transformers import GPT2TokenizerFast
+        from transformers import GPT2TokenizerFast  # pyright: ignore[reportAttributeAccessIssue] - an alias made late
     except ModuleNotFoundError as error:
         raise MissingExtraError("transformers", "text", "GPT-2's pieces of text") from error
     source = os.environ.get(GPT2_VARIABLE) or _GPT2_HUB_ID
     for file in Path(source).iterdir() if Path(source).is_dir() else ():
         require_size(file, largest=HARMLESS_SIZE)
     given = {"local_files_only": True, "trust_remote_code": False, "clean_up_tokenization_spaces": False}
+    tokenizer: Any = ()
+    why = ""
     try:
         tokenizer = GPT2TokenizerFast.from_pretrained(source, **given)
-        found = f"{len(tokenizer)} pieces"
-        usable = len(tokenizer) > 256  # transformers takes missing files for a vocabulary of one piece
     except (OSError, ValueError, KeyError, TypeError) as error:
-        usable, found = False, f"none ({str(error).partition('. ')[0][:200]})"
-    require(source, (usable, "", "GPT-2's vocab.json and merges.txt", found, _REMEDY))
+        why = f" ({str(error).partition('. ')[0][:200]})"
+    # transformers takes missing files for a vocabulary of one piece.
+    found = f"{len(tokenizer)} pieces{why}"
+    require(source, (len(tokenizer) > 256, "", "GPT-2's vocab.json and merges.txt", found, _REMEDY))
     return tokenizer
 
 

@@ -143,8 +143,14 @@ def bert_score(
         scorer = module.BERTScorer(lang="en", idf=True, idf_sents=texts, rescale_with_baseline=True)
     except OSError as error:
         remedy = "Load its model once where there is internet, and copy the hub's cache (HF_HOME)."
-        raise UnloadableExtraError("bert-score", "BERTScore", str(error).partition("\n")[0], remedy) from error
-    return scorer.score(list(candidates), [list(each) for each in references])[2].numpy(), scorer.hash
+        raise UnloadableExtraError("bert-score", "BERTScore", str(error).partition("\n")[0].rstrip("."), remedy) from error
+    # Empty candidates get the package's raw 0 here: with transformers 5 it fails on them.
+    base = float(scorer.baseline_vals[2])
+    found = np.full(len(candidates), -base / (1 - base))
+    pairs = [(text, list(each)) for text, each in zip(candidates, references, strict=True) if text.strip()]
+    if pairs:
+        found[[bool(text.strip()) for text in candidates]] = scorer.score(*map(list, zip(*pairs)))[2].numpy()
+    return found, scorer.hash
 
 
 def _package(module: str, package: str, extra: str, purpose: str) -> Any:

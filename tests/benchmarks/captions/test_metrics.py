@@ -149,18 +149,19 @@ def fake_bert_score(monkeypatch, scorer):
 def test_bert_score_weighs_by_all_references_and_rescales(monkeypatch):
     class Scorer:
         hash = "a-model_L17_idf-rescaled"
+        baseline_vals = (0.7, 0.7, 0.8)
 
         def __init__(self, **settings):
             assert settings.pop("idf_sents") == [PAIR[1], "c walks to the table", "c puts a cup on the table"]
             assert settings == {"lang": "en", "idf": True, "rescale_with_baseline": True}
 
         def score(self, candidates, references):
-            assert (candidates, references) == (list(THREE[0]), list(THREE[1]))
-            return [SimpleNamespace(numpy=lambda value=value: np.full(3, value)) for value in (0.1, 0.2, 0.3)]
+            assert (candidates, references) == ([PAIR[0], "c sits down"], [THREE[1][0], THREE[1][2]])
+            return [SimpleNamespace(numpy=lambda value=value: np.array([value, 1.0])) for value in (0.1, 0.2, 0.3)]
 
     fake_bert_score(monkeypatch, Scorer)
-    found, name = metrics.bert_score(*THREE)
-    assert found.tolist() == [0.3] * 3
+    found, name = metrics.bert_score([PAIR[0], " ", "c sits down"], THREE[1])
+    assert found == pytest.approx([0.3, -4.0, 1.0])  # an empty candidate: a raw 0
     assert name == Scorer.hash
 
 
