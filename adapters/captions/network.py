@@ -185,7 +185,7 @@ def greedy(network: Captioner, source: Int[Tensor, "batch _"], *, start: int, en
     """Write the likeliest id after the other, until all texts have ended.
 
     Args:
-        network: In evaluation mode.
+        network: The network in evaluation mode.
         source: Motions with start and end.
         start: First id of a text.
         end: Last id of a text; a text that has ended is filled with it.
@@ -214,7 +214,7 @@ def beam_search(
     hold an end, the best is that of the highest Σ log p / length^0.7; if they never do, it is the likeliest.
 
     Args:
-        network: In evaluation mode.
+        network: The network in evaluation mode.
         source: The motion with start and end.
         width: Number of texts that are kept.
         start: First id of a text.

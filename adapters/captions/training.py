@@ -190,7 +190,7 @@ def describe(
     """Write a caption of each motion, those of few tokens first.
 
     Args:
-        network: In evaluation mode.
+        network: The network in evaluation mode.
         vocabulary: Its pieces of text.
         rows: The motions.
         beam: Texts that beam search keeps; with 1 the likeliest piece follows the other.

@@ -143,7 +143,9 @@ def bert_score(
         scorer = module.BERTScorer(lang="en", idf=True, idf_sents=texts, rescale_with_baseline=True)
     except OSError as error:
         remedy = "Load its model once where there is internet, and copy the hub's cache (HF_HOME)."
-        raise UnloadableExtraError("bert-score", "BERTScore", str(error).partition("\n")[0].rstrip("."), remedy) from error
+        raise UnloadableExtraError(
+            "bert-score", "BERTScore", str(error).partition("\n")[0].rstrip("."), remedy
+        ) from error
     # Empty candidates get the package's raw 0 here: with transformers 5 it fails on them.
     base = float(scorer.baseline_vals[2])
     found = np.full(len(candidates), -base / (1 - base))
