@@ -132,7 +132,7 @@ class TokensFile:
             ids, lists, texts = table.select(_COLUMNS.names).cast(_COLUMNS).columns
         except (pa.ArrowException, KeyError) as error:
             expected = "a Parquet file with motion_id (text), tokens (whole numbers) and text (a list of texts) a row"
-            raise InputFileError(path, "", expected=expected, found=str(error)) from error
+            raise InputFileError(path, "", expected=expected, found=str(error).rstrip(".")) from error
         names = ids.to_pylist()
         splits = table["split"].to_pylist() if "split" in table.column_names else ["train"] * len(names)
         about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
