@@ -39,11 +39,12 @@ def captions_table(paths: Sequence[Path], *, with_published: bool) -> Table:
     notes = list(_NOTES)
     for path in paths:
         rows = read_captions(path)
-        values, remarks = score_captions(rows)
+        values, odd, remarks = score_captions(rows)
         about: dict[str, Any] = {"method": path.stem, "sequences": len(rows)}
         cells = tuple(Cell(metric=name, value=value, **about) for name, value in values.items())
         measured.append(Row(text={"method": path.stem, "clips": str(len(rows))}, cells=cells))
-        notes += [f"{path.name}: {remark}" for remark in remarks]
+        notes += [f"{path.name}: {odd}"] if odd else []
+        notes += remarks
     printed: dict[str, list[Cell]] = {}
     for number in printed_rows("prbench_benchmarks.captions.published", "table_6") if with_published else ():
         about: dict[str, Any] = {name: number[name] for name in ("method", "metric", "note")}
@@ -57,16 +58,16 @@ def captions_table(paths: Sequence[Path], *, with_published: bool) -> Table:
         title="Captions of motions (Nymeria, Table 6)",
         columns=(*words, *numbers),
         blocks=tuple(Block(title=title, rows=tuple(rows)) for title, rows in named.items()),
-        notes=tuple(notes),
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def score_captions(rows: Sequence[CaptionRow]) -> tuple[dict[str, float | None], list[str]]:
+def score_captions(rows: Sequence[CaptionRow]) -> tuple[dict[str, float | None], str, list[str]]:
     """Score captions, with the wearer's names normalised.
 
     Returns:
-        The metrics × 100, None for one that cannot be computed here; and remarks: counts of odd captions, all settings
-        with their digest, and why a metric is missing.
+        The metrics × 100, None for one that cannot be computed here; counts of odd captions, if there are some; and
+        remarks: all settings with their digest, and why a metric is missing.
 
     Raises:
         MissingExtraError: if the extra ``captions`` is not installed.
@@ -90,12 +91,13 @@ def score_captions(rows: Sequence[CaptionRow]) -> tuple[dict[str, float | None],
         f"longer than {metrics.LONGEST} words": sum(len(text.split()) > metrics.LONGEST for text in candidates + texts),
         "candidates cut at the captioner's limit": sum(row.cut for row in rows),
     }
-    odd = [f"{what}: {count}" for what, count in counted.items() if count]
-    remarks = [f"of {len(rows)} motions with {len(texts)} references, {', '.join(odd)}."] if odd else []
+    found = [f"{what}: {count}" for what, count in counted.items() if count]
+    odd = f"of {len(rows)} motions with {len(texts)} references, {', '.join(found)}." if found else ""
+    remarks = []
     bert = "none"
     try:
-        found, bert = metrics.bert_score(*pair)
-        values["bertscore"] = 100.0 * float(found.mean())
+        each, bert = metrics.bert_score(*pair)
+        values["bertscore"] = 100.0 * float(each.mean())
     except (MissingExtraError, UnloadableExtraError) as error:
         remarks.append(str(error))
     said = (
@@ -103,4 +105,4 @@ def score_captions(rows: Sequence[CaptionRow]) -> tuple[dict[str, float | None],
         f" 1.2, whitespace tokens); CIDEr-D σ 6, whitespace tokens; BERTScore {bert}; the wearer's names"
         f" ({', '.join(metrics.WEARER)}) count as {metrics.WEARER[-1]}"
     )
-    return values, [*remarks, f"{said}. Digest {text_digest(said)[:12]}."]
+    return values, odd, [*remarks, f"{said}. Digest {text_digest(said)[:12]}."]

@@ -36,7 +36,7 @@ def test_the_worked_corpus_beside_the_printed_rows(tmp_path, monkeypatch):
 
 
 def test_the_settings_and_their_digest_are_told():
-    (remark,) = [each for each in score_captions(worked())[1] if "Digest" in each]
+    (remark,) = [each for each in score_captions(worked())[2] if "Digest" in each]
     for part in ("smooth:none", "tok:13a", "ROUGE-L β 1, rouge-score 0", "#C C, #C, the camera wearer", "Digest "):
         assert part in remark
 
@@ -54,8 +54,8 @@ def test_odd_captions_are_counted_and_scored():
         CaptionRow(motion_id="d", candidate="", references=(long,)),
         CaptionRow(motion_id="e", candidate="?!", references=("C waits.",), cut=True),
     ]
-    values, remarks = score_captions([*worked(), *odd])
-    assert remarks[0] == (
+    values, counts, _ = score_captions([*worked(), *odd])
+    assert counts == (
         "of 5 motions with 5 references, candidates without letters: 2, longer than 160 words: 1, candidates cut at the"
         " captioner's limit: 1."
     )
@@ -81,3 +81,12 @@ def test_a_missing_extra_ends_the_command_with_its_own_code(tmp_path, capsys, mo
     monkeypatch.setitem(sys.modules, "sacrebleu.metrics", None)
     assert main(["study", "nymeria-table-6", str(captions_file(tmp_path, *rows()))]) == 9
     assert "pip install 'prbench[captions]'" in capsys.readouterr().err
+
+
+def test_settings_that_files_share_are_told_once_and_odd_captions_by_file(tmp_path):
+    paths = [captions_file(tmp_path, *rows()), tmp_path / "empty.jsonl"]
+    paths[1].write_text(captions_file(tmp_path, *rows(candidate="")).read_text(encoding="utf-8"), encoding="utf-8")
+    captions_file(tmp_path, *rows())
+    notes = captions_table(paths, with_published=False).notes
+    assert sum("Digest" in note for note in notes) == 1
+    assert [note.partition(":")[0] for note in notes if "without letters: 3" in note] == ["empty.jsonl"]
