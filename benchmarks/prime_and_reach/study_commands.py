@@ -265,6 +265,7 @@ _ITEMS = {
     "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
     "nymeria-table-5": _Item("weights of motion-tokens on --data", "FILE", _RECONSTRUCTED, _tokens),
     "nymeria-mapping": _Item("the suit's bones, floor and SMPL fit", "--root DIR", ("root", "smpl", "out"), _mapping),
+    "nymeria-table-6": _Item("captions of motions", "FILE", ("with_published", "out"), _evaluations),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
     "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_OF_SCORES, "by"), _drawn),

@@ -325,6 +325,8 @@ def test_neither_torch_nor_an_adapter_is_imported(arguments):
     heavy = {"torch", "matplotlib", "scipy", "prbench_adapters"}
     light = {  # help shows the commands of packages
         "prbench_adapters",
+        "prbench_adapters.captions",
+        "prbench_adapters.captions.commands",
         "prbench_adapters.commands",
         "prbench_adapters.corpora",
         "prbench_adapters.corpora.commands",

@@ -27,6 +27,7 @@ from prbench.harness.sharded import merge_run_shards, run_shard
 from prbench.readers.egoallo.synthetic import write_smplh_model
 from prbench.sequences import SequenceTable
 from tests.adapters.training.toy import entry_points_of
+from tests.benchmarks.captions.test_files import tokens_file
 from tests.benchmarks.motion_prediction.windows import write as write_windows
 from tests.curation.sources import some_sources
 from tests.fakes import fake_dataset
@@ -145,6 +146,8 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
         call("build-corpus synthetic --count 4 --out {corpus}")
         call("synthesize nymeria --count 2 --out {nymeria}")
         call("train --method t2m-evaluator --config smoke --set training.steps=2 --data {corpus} --out {evaluator}")
+        tokens_file(folder / "tokens.parquet")
+        call("train --method tm2t --config smoke --set training.steps=2 --data {tokens}.parquet --out {captioner}")
     fake_dataset(folder / "table", 6)
     write_windows(folder / "windows")
     call("synthesize adt --count 1 --events 2 --out {adt}")
@@ -314,6 +317,9 @@ WRITING = (
     Writing("doctor --out", "doctor {run}/synthetic-adt/predictions --data {table} --out {out}", "d.json"),
     Writing("validate --out", "validate hd-epic --data {hdepic} --out {out}", "v.json", heavy=True),
     Writing("evaluate-text --out", _EVALUATE, "t.json", heavy=True),
+    Writing(
+        "caption --out", "caption --weights {captioner} --tokens {tokens}.parquet --out {out}", "c.jsonl", heavy=True
+    ),
     Writing("train --out", _TRAIN),
 )
 

@@ -1,0 +1,1 @@
+"""Numbers that the study printed. Data only."""
