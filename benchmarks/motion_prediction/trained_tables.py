@@ -19,7 +19,9 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder
 from prbench.tables import Table
-from prbench_adapters.training.configuration import TrainingConfiguration
+from prbench_adapters.prediction.configuration import PRESETS
+from prbench_adapters.training.ablations import overrides
+from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations
 from prbench_adapters.training.report import WEIGHTS
 from prbench_adapters.training.rows import PAPER, RUNS, SMOKE, RowsRequest, Say, row_by_row, training_stamp
 from prbench_adapters.training.run import TrainRequest, resolved, train
@@ -27,6 +29,7 @@ from prbench_benchmarks.motion_prediction.benchmark import PUBLISHED
 from prbench_benchmarks.motion_prediction.study_tables import TableRow, load_tables, prediction_tables, split_column
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
+CODE = "code"
 _SAMPLES = 50  # K of the study
 _FEW_SAMPLES = 5  # K at smoke size, for which DLow's is made
 # Called with what is done, what there is in all, and what comes next.
@@ -70,7 +73,7 @@ def train_prediction(request: RowsRequest, *, engine: Engine, say: Say, tell: Te
             raise UsageError(f"{data} and {other.folder} both hold {table.info.dataset}: name one table of a dataset.")
     rows = [row for row in load_tables().rows if row.weights]
     for row in rows:  # before anything is trained
-        _resolved(row, request.configuration)
+        _resolved(row, _configuration(row, request.configuration))
     samples = _FEW_SAMPLES if request.configuration == SMOKE else _SAMPLES
     made: dict[str, list[Table]] = {}
     runs: list[Path] = []
@@ -91,6 +94,13 @@ def train_prediction(request: RowsRequest, *, engine: Engine, say: Say, tell: Te
     return TrainedTables(tables=made, runs=runs, failed=failed)
 
 
+def _configuration(row: TableRow, asked: str) -> str:
+    """Return the configuration of a row: ``code`` means ``paper`` for methods whose only source is their program."""
+    task = load_task(row.method)
+    only_one = asked == CODE and CODE not in list_configurations(task.configurations, task.name)
+    return PAPER if only_one else asked
+
+
 def _resolved(row: TableRow, configuration: str, *changes: tuple[str, str]) -> TrainingConfiguration:
     task = load_task(row.method)
     return resolved(task, configuration, stage=task.stages[-1], overrides=changes)[1]
@@ -98,12 +108,12 @@ def _resolved(row: TableRow, configuration: str, *changes: tuple[str, str]) -> T
 
 def _changes(row: TableRow, table: WindowsTable) -> tuple[tuple[str, str], ...]:
     """Return the keys in which the training of a row differs from its method's configuration."""
-    changes = [("model.windows.condition", row.condition.value)]
+    # Only the part that is removed: the rest of the network is the configuration's.
+    model = dict(PRESETS[row.weights]) if row.is_ablation else {}
+    model["windows.condition"] = row.condition.value
     if split_column(table) == "published_split":
-        changes.append(("model.windows.split", PUBLISHED))  # what is tested must not be learnt from
-    if row.is_ablation:
-        changes.append(("model.preset", row.weights))
-    return tuple(changes)
+        model["windows.split"] = PUBLISHED  # what is tested must not be learnt from
+    return overrides(model)
 
 
 def _train_row(
@@ -119,7 +129,8 @@ def _train_row(
 ) -> None:
     """Train all stages of a row, each from the weights of the one before, and run it."""
     same = {"data": (table.folder,), "device": request.device, "threads": request.threads}
-    learnt = {"method": row.method, "configuration": request.configuration, "overrides": _changes(row, table)}
+    learnt = {"method": row.method, "overrides": _changes(row, table)}
+    learnt["configuration"] = _configuration(row, request.configuration)
     initial = folder / row.starts_from / WEIGHTS if row.starts_from else None
     stages = load_task(row.method).stages
     for stage in stages:
