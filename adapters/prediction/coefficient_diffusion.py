@@ -230,7 +230,7 @@ class _GraphBlock(nn.Module):
         self.dropout = nn.Dropout(dropout)
         self.residual = residual
 
-    def forward(self, stream: Graph) -> Graph:
+    def forward(self, stream: Graph) -> Tensor:
         changed = self.dropout(torch.tanh(self.norm(self.attention(stream))))
         return stream + changed if self.residual else changed
 
@@ -378,7 +378,8 @@ class _Block(nn.Module):
         self.attention_style = _Stylisation(width, dropout)
         self.cross = None
         if configuration.cross_attention:
-            self.cross = {"motion": _CrossAttention, "condition": _AskedByCondition}[configuration.queries](configuration)
+            kinds = {"motion": _CrossAttention, "condition": _AskedByCondition}
+            self.cross = kinds[configuration.queries](configuration)
         self.expand = nn.Linear(width, configuration.feed_forward)
         self.contract = from_zero(nn.Linear(configuration.feed_forward, width))
         self.feed_forward_dropout = nn.Dropout(dropout)
@@ -433,7 +434,7 @@ class _CrossAttention(nn.Module):
 
 
 class _AskedByCondition(_CrossAttention):
-    """Queries and values from the condition, keys from the motion: softmax(Q) softmax(Kᵀ) norm(V), as the paper says."""
+    """Queries and values from the condition, keys from the motion: softmax(Q) softmax(Kᵀ) norm(V), as in the paper."""
 
     def __init__(self, configuration: DiffusionConfiguration) -> None:
         super().__init__(configuration)

@@ -24,8 +24,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         coefficients: DCT coefficients L that a window is described by; all else of its motion is lost.
         cross_attention: Whether the denoiser looks at each coefficient of the condition besides the condition vector.
         encoder: Whether the condition is encoded; else it is the DCT of the padded observation, as in HumanMAC.
-        end_block: The last block of an encoder: a bare layer and the encoder's input added, as in the public program, or
-            a layer with normalisation, tanh and dropout, as in the paper.
+        end_block: The last block of an encoder: a bare layer with the encoder's input added, as in the public program,
+            or a layer with normalisation, tanh and dropout, as in the paper.
         leaky_features: LeakyReLU on what graph attention has aggregated, as in the paper.
         queries: What asks in cross-attention: the motion, as in the public program, or the condition, whose values are
             then weighed by softmax(Q) softmax(Kᵀ) with keys from the motion, as in the paper.
