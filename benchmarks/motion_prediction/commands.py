@@ -108,7 +108,7 @@ def build_windows(
     if dataset != "nymeria":
         given |= mending
     elif any(mending.values()):
-        raise UsageError("--shift, --scale: the streams of Nymeria are aligned (docs/alignment.md); leave them out.")
+        raise UsageError("--shift, --scale: the streams of Nymeria are aligned (`prbench align`); leave them out.")
     plan = planner(dataset, root, reader=tuple(options.items()), **given)
     where = opt.opened(engine, reads=(root,), writes=(out,))
     if part is None:

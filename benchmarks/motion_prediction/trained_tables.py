@@ -65,6 +65,8 @@ def train_prediction(request: RowsRequest, *, engine: Engine, say: Say, tell: Te
         StorageError: if a file cannot be written.
         TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
     """
+    if request.configuration.endswith(".toml"):
+        raise UsageError(f"--config {request.configuration}: rows are of several methods. Name a configuration of all.")
     opened: dict[str, WindowsTable] = {}
     for data in request.data:
         table = WindowsTable.open(data)

@@ -118,6 +118,8 @@ def test_what_does_not_fit_is_refused_before_anything_is_trained(windows, tmp_pa
         made(request(windows, write(tmp_path / "other"), out=tmp_path / "out"))
     with pytest.raises(UsageError, match="has no configuration 'tiny'"):
         made(request(windows, out=tmp_path / "out", configuration="tiny"))
+    with pytest.raises(UsageError, match="several methods"):
+        made(request(windows, out=tmp_path / "out", configuration="mine.toml"))
     assert not (tmp_path / "out").exists()
     assert main(["study", "prediction", "--train"]) == 2
     assert main([*words(windows, tmp_path), "--data", str(windows)]) == 2
