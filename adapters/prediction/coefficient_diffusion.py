@@ -159,10 +159,12 @@ class GraphAttention(nn.Module):
         nodes: Number of nodes of the graph.
         steps: Length of each node's sequence.
         heads: Sets of attention weights, which are averaged.
+        leaky: LeakyReLU on what is aggregated over steps, and over nodes.
     """
 
-    def __init__(self, inputs: int, outputs: int, nodes: int, steps: int, heads: int) -> None:
+    def __init__(self, inputs: int, outputs: int, nodes: int, steps: int, heads: int, leaky: bool = False) -> None:
         super().__init__()
+        self.activation = nn.LeakyReLU(_SLOPE) if leaky else nn.Identity()
         self.over_steps = nn.Parameter(torch.empty(heads, 2, inputs * nodes))
         """For the token that looks and the token that is looked at."""
         self.channels = nn.Parameter(torch.empty(inputs, outputs))
@@ -176,10 +178,10 @@ class GraphAttention(nn.Module):
         """Apply to every graph by itself."""
         # Features of a step are ordered by node, those of a node by step; channels change fastest in both.
         weights = _attention(stream.permute(0, 3, 2, 1).flatten(2), self.over_steps)
-        stream = torch.einsum("bij,bcnj->bcni", weights, stream)
+        stream = self.activation(torch.einsum("bij,bcnj->bcni", weights, stream))
         stream = torch.einsum("bcns,cd->bdns", stream, self.channels)
         weights = _attention(stream.permute(0, 2, 3, 1).flatten(2), self.over_nodes)
-        stream = torch.einsum("bij,bcjs->bcis", weights, stream)
+        stream = self.activation(torch.einsum("bij,bcjs->bcis", weights, stream))
         return stream + self.bias
 
 
@@ -201,31 +203,48 @@ class GraphEncoder(nn.Module):
         layer: Makes a layer of a number of channels that come in, channels that go out, nodes, and steps.
     """
 
-    def __init__(self, nodes: int, steps: int, width: int, blocks: int, dropout: float, layer: GraphLayer) -> None:
+    def __init__(
+        self,
+        nodes: int,
+        steps: int,
+        width: int,
+        blocks: int,
+        dropout: float,
+        layer: GraphLayer,
+        *,
+        residual: bool = True,
+    ) -> None:
         super().__init__()
         self.steps = steps
+        self.residual = residual
         self.start = layer(3, width, nodes, steps)
-        self.blocks = nn.ModuleList(_GraphBlock(width, nodes, 2 * steps, dropout, layer) for _ in range(blocks))
-        self.end = layer(width, 3, nodes, steps)
+        doubled = [width, nodes, 2 * steps]
+        self.blocks = nn.ModuleList(_GraphBlock(layer(width, *doubled), doubled, dropout) for _ in range(blocks))
+        self.end: nn.Module = layer(width, 3, nodes, steps)
+        if not residual:
+            self.end = _GraphBlock(self.end, [3, nodes, steps], dropout, residual=False)
 
     def forward(self, nodes: Graph) -> Graph:
-        """Encode; the result is the input and what the layers add to it."""
+        """Encode; the result is what the layers make, with the input added where the end block is bare."""
         stream = self.start(nodes)
         stream = torch.cat([stream, stream], dim=-1)
         for block in self.blocks:
             stream = block(stream)
-        return self.end(stream[..., : self.steps]) + nodes
+        encoded = self.end(stream[..., : self.steps])
+        return encoded + nodes if self.residual else encoded
 
 
 class _GraphBlock(nn.Module):
-    def __init__(self, width: int, nodes: int, steps: int, dropout: float, layer: GraphLayer) -> None:
+    def __init__(self, attention: nn.Module, shape: list[int], dropout: float, *, residual: bool = True) -> None:
         super().__init__()
-        self.attention = layer(width, width, nodes, steps)  # or GazeMotion's convolution: weights files know this name
-        self.norm = nn.LayerNorm([width, nodes, steps])
+        self.attention = attention  # or GazeMotion's convolution: weights files know this name
+        self.norm = nn.LayerNorm(shape)
         self.dropout = nn.Dropout(dropout)
+        self.residual = residual
 
-    def forward(self, stream: Graph) -> Graph:
-        return stream + self.dropout(torch.tanh(self.norm(self.attention(stream))))
+    def forward(self, stream: Graph) -> Tensor:
+        changed = self.dropout(torch.tanh(self.norm(self.attention(stream))))
+        return stream + changed if self.residual else changed
 
 
 def gaze_encoder(coefficients: int) -> nn.Sequential:
@@ -251,19 +270,21 @@ class ConditionEncoder(nn.Module):
     def __init__(self, configuration: DiffusionConfiguration) -> None:
         super().__init__()
         self.configuration = configuration
-        steps, width, heads = configuration.coefficients, configuration.encoder_width, configuration.encoder_heads
         joints, nodes = configuration.n_joints, configuration.nodes
         self.pose: nn.Module = nn.Identity()
-        layer = partial(GraphAttention, heads=heads)
+        steps, width = configuration.coefficients, configuration.encoder_width
+        heads, leaky = configuration.encoder_heads, configuration.leaky_features
+        layer = partial(GraphAttention, heads=heads, leaky=leaky)
+        bare = configuration.end_block == "residual"
         if configuration.pose_encoder:
-            self.pose = GraphEncoder(joints, steps, width, 1, configuration.encoder_dropout, layer)
+            self.pose = GraphEncoder(joints, steps, width, 1, configuration.encoder_dropout, layer, residual=bare)
         self.gaze: nn.Module = nn.Identity()
         if configuration.gaze and configuration.gaze_encoder:
             self.gaze = gaze_encoder(steps)
         self.fusion: nn.Module = nn.Identity()
         if configuration.fusion == "graph-attention":
             blocks = configuration.fusion_blocks
-            self.fusion = GraphEncoder(nodes, steps, width, blocks, configuration.fusion_dropout, layer)
+            self.fusion = GraphEncoder(nodes, steps, width, blocks, configuration.fusion_dropout, layer, residual=bare)
 
     def forward(self, coefficients: Coefficients) -> Coefficients:
         """Encode the coefficients of padded observations, gaze being the last node."""
@@ -371,7 +392,10 @@ class _Block(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.query_key_value = nn.Linear(width, 3 * width, bias=False)
         self.attention_style = _Stylisation(width, dropout)
-        self.cross = _CrossAttention(configuration) if configuration.cross_attention else None
+        self.cross = None
+        if configuration.cross_attention:
+            kinds = {"motion": _CrossAttention, "condition": _AskedByCondition}
+            self.cross = kinds[configuration.queries](configuration)
         self.expand = nn.Linear(width, configuration.feed_forward)
         self.contract = from_zero(nn.Linear(configuration.feed_forward, width))
         self.feed_forward_dropout = nn.Dropout(dropout)
@@ -423,6 +447,28 @@ class _CrossAttention(nn.Module):
         # A score is (W h) · k = h · (Wᵀ k): queries, which every sample and step would need, are never made.
         query = self.query.weight.unflatten(0, (self.heads, -1)) / math.sqrt(key.shape[-1])
         return torch.einsum("hdc,whld->wchl", query, key).flatten(2), value
+
+
+class _AskedByCondition(_CrossAttention):
+    """Queries and values from the condition, keys from the motion: softmax(Q) softmax(Kᵀ) norm(V), as in the paper."""
+
+    def __init__(self, configuration: DiffusionConfiguration) -> None:
+        super().__init__(configuration)
+        self.condition_norm = nn.Identity()
+        self.value_norm = nn.LayerNorm(configuration.width)
+
+    def forward(self, stream: Stream, time: Tensor, memory: _Memory) -> Stream:
+        """See the base class; keys are softmaxed over the coefficients of a sample, queries over their own numbers."""
+        queries, values = memory
+        keys = self.query(self.norm(stream)).unflatten(-1, (self.heads, -1)).transpose(-2, -3).softmax(dim=-2)
+        weighed = (queries[:, None] @ keys.transpose(-1, -2)) @ values[:, None]
+        weighed = functional.dropout(weighed, self.dropout, self.training)
+        return self.style(weighed.transpose(-2, -3).flatten(-2), time)
+
+    def memory(self, condition: Coefficients) -> _Memory:
+        queries, values = self.key_value(condition).chunk(2, dim=-1)
+        both = torch.stack([queries, self.value_norm(values)]).unflatten(-1, (self.heads, -1)).transpose(-2, -3)
+        return both[0].softmax(dim=-1), both[1]
 
 
 class _Stylisation(nn.Module):

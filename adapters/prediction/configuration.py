@@ -24,6 +24,11 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         coefficients: DCT coefficients L that a window is described by; all else of its motion is lost.
         cross_attention: Whether the denoiser looks at each coefficient of the condition besides the condition vector.
         encoder: Whether the condition is encoded; else it is the DCT of the padded observation, as in HumanMAC.
+        end_block: The last block of an encoder: a bare layer with the encoder's input added, as in the public program,
+            or a layer with normalisation, tanh and dropout, as in the paper.
+        leaky_features: LeakyReLU on what graph attention has aggregated, as in the paper.
+        queries: What asks in cross-attention: the motion, as in the public program, or the condition, whose values are
+            then weighed by softmax(Q) softmax(Kᵀ) with keys from the motion, as in the paper.
         legacy_layout: Scramble the encoder's axes as the public program does, to load or to compare its weights.
         predicts: What the denoiser's output stands for. Noise is published, and needs a network much wider than a pose
             has numbers: at the noisiest step an error of 0.01 in the noise is one of 0.75 in the clean coefficients.
@@ -62,6 +67,9 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     fusion_blocks: int = 4
     encoder_dropout: float = 0.3
     fusion_dropout: float = 0.2
+    end_block: Literal["residual", "normalised"] = "residual"
+    leaky_features: bool = False
+    queries: Literal["motion", "condition"] = "motion"
     legacy_layout: bool = False
 
     predicts: Literal["noise", "velocity"] = "noise"
@@ -112,8 +120,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
         return 3 * self.nodes
 
 
-_PRESETS = read_toml("prbench_adapters.prediction", "presets.toml", dict[str, dict[str, Any]])
-PRESETS = tuple(_PRESETS)  # Names of the configurations of the tables, the ablations, and the published programs.
+# Configurations of the tables, the ablations, and the published programs by name: what differs from the defaults.
+PRESETS = read_toml("prbench_adapters.prediction", "presets.toml", dict[str, dict[str, Any]])
 
 
 def preset(name: str, *, n_joints: int, **changes: Any) -> DiffusionConfiguration:
@@ -127,6 +135,6 @@ def preset(name: str, *, n_joints: int, **changes: Any) -> DiffusionConfiguratio
     Raises:
         ValueError: for other names, and for sizes that do not fit together.
     """
-    if name not in _PRESETS:
+    if name not in PRESETS:
         raise ValueError(f"no configuration is named {name!r}; there are {', '.join(PRESETS)}")
-    return DiffusionConfiguration(**{"n_joints": n_joints, **_PRESETS[name], **changes})
+    return DiffusionConfiguration(**{"n_joints": n_joints, **PRESETS[name], **changes})

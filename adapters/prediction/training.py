@@ -75,6 +75,15 @@ def augmented(
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
 
 
+def _augmented_alike(motion: Motion, generator: torch.Generator) -> Motion:
+    """Turn a whole batch about the vertical, negate x, and negate z, each with p = ½; labels of sides stay."""
+    turned, *negated = (torch.rand(3, generator=generator) < 0.5).tolist()
+    angle = 2.0 * math.pi * float(torch.rand(1, generator=generator)) * turned
+    nobody = torch.zeros(len(motion), dtype=torch.bool, device=motion.device)
+    motion = augmented(motion, range(motion.shape[2]), turn=motion.new_full((len(motion),), angle), mirrored=nobody)
+    return motion * motion.new_tensor([1.0 - 2.0 * negated[0], 1.0, 1.0 - 2.0 * negated[1]])
+
+
 class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """``[model.rate]``: the published courses of the learning rate, on top of ``training.schedule``.
 
@@ -82,6 +91,8 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         milestones: Shares of the training after which the rate is multiplied by ``factor``.
         linear_from: Share of the training after which the rate falls linearly to almost 0.
         exponential_to: Factor that the rate has fallen to at the end, by the same share in every step.
+        encoder_apart: GazeMoDiff's encoder has an optimiser of its own, as in the public program: its rate keeps its
+            height, and its weights are not averaged.
 
     Raises:
         ValueError: for places outside of the training.
@@ -91,6 +102,7 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     factor: float = 0.9
     linear_from: float = 1.0
     exponential_to: float = 1.0
+    encoder_apart: bool = False
 
     def __post_init__(self) -> None:
         require_within(self, "above 0", "exponential_to")
@@ -133,6 +145,7 @@ class PredictorTraining(TrainingModule):
         self.losses = losses
         self.course = course
         self.origin = origin
+        self.augmentation = "mirror"
         self._partners = mirror_partners(record.windows.joints.names)
 
     def forward(self, batch: WindowBatch, step: int) -> Losses:  # pyright: ignore[reportIncompatibleMethodOverride]  # fed with windows
@@ -147,6 +160,9 @@ class PredictorTraining(TrainingModule):
         motion = self.shown(batch)
         if step < 0:
             return self.losses(self, motion, generator, step) | self._errors(motion, step)
+        if self.augmentation != "mirror":
+            shown = _augmented_alike(motion, generator) if self.augmentation == "published" else motion
+            return self.losses(self, shown, generator, step)
         count = len(motion)
         mirrored = torch.rand(count, generator=generator) < 0.5
         turn = 2.0 * math.pi * torch.rand(count, generator=generator)
@@ -188,6 +204,11 @@ class PredictorTraining(TrainingModule):
     def learning_rate_factor(self, step: int) -> float:
         """Follow the course."""
         return self.course.at(step / self.calls)
+
+    def apart(self) -> tuple[nn.Parameter, ...]:
+        """Return the encoder's parameters where it has an optimiser of its own."""
+        encoder = getattr(self.network, "encoder", None) if self.course.encoder_apart else None
+        return () if encoder is None else tuple(encoder.parameters())
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
         """Return the matrices of the blocks of a denoiser of coefficients."""
@@ -319,6 +340,14 @@ class PredictorTask:
             UsageError: if the table does not describe such a network.
             InputFileError: if the initial weights do not fit it.
         """
+        module = self._module(model, data=data, initial=initial, stage=stage)
+        module.augmentation = data.choice.augmentation
+        return module
+
+    def _module(
+        self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
+    ) -> PredictorTraining:
+        """Make the module with the losses of the method."""
         course = converted(model.get("rate", {}), RateCourse, "model.rate")
         sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
         seen = data.shape

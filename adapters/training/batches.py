@@ -41,12 +41,16 @@ class WindowChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         frame: Frame of the joints: the room's, or that of the last observed pose.
         split: ``published``: the training part of the published evaluation, of which a tenth of the segments validates.
         left_out: Participants who are not shown, for evaluations that leave one out.
+        augmentation: ``mirror``: half of the windows in a mirror, sides exchanged, and in the room's frame each turned.
+            ``published``: whole batches turned and negated, without exchange of sides, as GazeMoDiff's public program
+            does on MoGaze. Or ``none``.
     """
 
     condition: Condition = Condition.POSE_GAZE
     frame: FrameName = "last-pose"
     split: Literal["dataset", "published"] = "dataset"
     left_out: tuple[str, ...] = ()
+    augmentation: Literal["mirror", "published", "none"] = "mirror"
 
 
 class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

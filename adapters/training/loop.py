@@ -282,7 +282,8 @@ class _Session:
         settings = self.configuration.training
         for optimiser in state.optimisers:
             for group in optimiser.param_groups:
-                group["lr"] = self._rate(state.step) * group.get("scale", 1.0)
+                factor = 1.0 if group.get("steady") else state.module.learning_rate_factor(state.step)
+                group["lr"] = factor * learning_rate(state.step, settings) * group.get("scale", 1.0)
         batch = next(incoming).to(self.fabric.device)
         # Dropout draws from torch's global generators; seeded anew, a resumed run drops the same.
         generator = named_generator("prbench-dropout", settings.seed, state.step, self.fabric.global_rank)

@@ -11,7 +11,7 @@ import contextlib
 import math
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -40,10 +40,14 @@ class WeightAverage:
         module: Whose parameters; only those that require gradients.
         decay: Largest decay; 0 follows the weights themselves.
         warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
+        apart: Parameters whose averages follow the weights themselves.
     """
 
-    def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
+    def __init__(
+        self, module: nn.Module, decay: float, *, warmup: bool = True, apart: Sequence[nn.Parameter] = ()
+    ) -> None:
         self.decay, self.warmup = decay, warmup
+        self.apart = {id(parameter) for parameter in apart}
         self.parameters = {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
         self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
 
@@ -55,6 +59,9 @@ class WeightAverage:
         averages = list(self.averages.values())
         parameters: list[torch.Tensor] = list(self.parameters.values())
         torch._foreach_lerp_(averages, parameters, 1 - decay)  # pyright: ignore[reportPrivateImportUsage]
+        for average, parameter in zip(averages, parameters, strict=True):
+            if id(parameter) in self.apart:
+                average.copy_(parameter)
 
     @contextlib.contextmanager
     def applied(self, values: dict[str, torch.Tensor] | None = None) -> Iterator[None]:
@@ -81,7 +88,8 @@ class TrainingState:
     """A training between two steps.
 
     Attributes:
-        optimisers: Each with parameters of its own; a group's ``scale`` is its factor on the learning rate.
+        optimisers: Each with parameters of its own; a group's ``scale`` is its factor on the learning rate, and
+            ``steady`` groups know no factor of the module.
         step: Steps done.
         losses: Sums since the last line of the log; kept on their device, because reading them would make a GPU wait.
         batches: Batches in these sums.
@@ -103,7 +111,7 @@ class TrainingState:
     @classmethod
     def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
         """Return the state before the first step; the module is where it will be trained."""
-        average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup)
+        average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup, apart=module.apart())
         matrices = list(module.hidden_matrices()) if settings.optimiser == "muon" else []
         if settings.optimiser == "muon" and not matrices:
             raise UsageError("training.optimiser: this task names no matrices for muon. Use adamw.")
@@ -111,7 +119,11 @@ class TrainingState:
         others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
         rate, decay = settings.learning_rate, settings.weight_decay
         fused = all(parameter.device.type in ("cpu", "cuda") for parameter in others)
-        adamw = torch.optim.AdamW(others, rate, settings.betas, weight_decay=decay, fused=fused)
+        steady = [parameter for parameter in others if id(parameter) in average.apart]
+        others = [parameter for parameter in others if id(parameter) not in average.apart]
+        # Two groups of one Adam are two optimisers: it treats every number by itself.
+        groups = [{"params": others}, *([{"params": steady, "steady": True}] if steady else [])]
+        adamw = torch.optim.AdamW(groups, rate, settings.betas, weight_decay=decay, fused=fused)
         optimisers: list[torch.optim.Optimizer] = [adamw]
         if matrices:
             # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.

@@ -112,6 +112,10 @@ class TrainingModule(nn.Module):
         """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""
         return 1.0
 
+    def apart(self) -> Sequence[nn.Parameter]:
+        """Return parameters that :meth:`learning_rate_factor` leaves alone, and that are saved without averaging."""
+        return ()
+
     def comparable_from(self) -> int:
         """First step whose validation can be compared with the last one's; later for those that have phases."""
         return 0

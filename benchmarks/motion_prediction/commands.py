@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import msgspec
@@ -58,6 +58,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Joints that a study scored (default for mogaze and gimo), or the 22 joints of any dataset.",
 )
 @opt.recordings_options
+@opt.stream_options
 @opt.on_error_option()
 @opt.reader_options()
 @opt.engine_options()
@@ -72,6 +73,8 @@ def build_windows(
     joints: Literal["native", "smpl22"] | None,
     recordings: str,
     max_recordings: int | None,
+    shift: opt.Pairs,
+    scale: opt.Pairs,
     on_error: Literal["skip", "fail"],
     options: opt.Pairs,
     engine: EngineChoice,
@@ -89,25 +92,33 @@ def build_windows(
     if data is not None:
         from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
 
-        if joints or recordings != "*" or max_recordings or options:
+        if joints or recordings != "*" or max_recordings or options or shift or scale:
             raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
         return windows_answer(build_anchored_windows(data, out, only=anchors), out)
     assert dataset is not None
     assert root is not None
+    from prbench.curation.mending import stream_numbers
     from prbench_benchmarks.motion_prediction.windows import build_windows as build
     from prbench_benchmarks.motion_prediction.windows import build_windows_shard, plan_windows
 
     # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
     planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
-    given = tuple(options.items())
-    plan = planner(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=given)
+    given: dict[str, Any] = {"joints": joints, "recordings": recordings, "limit": max_recordings}
+    mending = {"shift": stream_numbers(shift or {}, "shift"), "scale": stream_numbers(scale or {}, "scale")}
+    if dataset != "nymeria":
+        given |= mending
+    elif any(mending.values()):
+        raise UsageError("--shift, --scale: the streams of Nymeria are aligned (`prbench align`); leave them out.")
+    plan = planner(dataset, root, reader=tuple(options.items()), **given)
     where = opt.opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:
             report = build(plan, out, on_error=on_error, engine=where, progress=tell)
+        builds.note_findings(report.records)
         return windows_answer(report.info, out)
     with progress(f"cutting shard {part} of {dataset}") as tell:
         done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
+    builds.note_findings(done.records)
     for each in done.records:
         if each.status != "read":
             note(f"{each.recording_id}: {each.status}: {each.message}")

@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -60,6 +61,7 @@ class TableRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     Attributes:
         variant: The row's variant among the published numbers; empty for a row that the study does not have.
         weights: Name of the configuration and of the weights; empty for what needs none.
+        starts_from: Weights of another row, above this one, that its training starts from.
     """
 
     label: str
@@ -68,6 +70,7 @@ class TableRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     variant: str
     weights: str
     tables: tuple[str, ...]
+    starts_from: str = ""
 
     @property
     def name(self) -> str:
@@ -110,6 +113,7 @@ def prediction_tables(
     runs: Sequence[Path] = (),
     *,
     weights: Path | None = None,
+    failed: Mapping[str, str] = MappingProxyType({}),
     limit: int | None = None,
     samples: int = 50,
     seed: int = 0,
@@ -123,6 +127,7 @@ def prediction_tables(
             dataset's.
         runs: Finished runs on these windows, whose scores stand for their rows; their windows are scored in all others.
         weights: Folder with the user's weights by the row's name, such as ``no-gaze.safetensors``.
+        failed: Maps rows that are left out, by name, to the reason, which stands below the tables.
         limit: Largest number of scored windows, of every recording its share.
         samples: K of methods that draw samples.
         seed: Seed that futures are drawn from.
@@ -141,7 +146,7 @@ def prediction_tables(
         raise UsageError("--limit: the runs tell which windows are scored; leave it out.")
     table = WindowsTable.open(windows)
     require_weights(weights)
-    column = "published_split" if "test" in set(table.runs["published_split"].to_pylist()) else "split"
+    column = split_column(table)
     test = table.chosen(**{column: "test"})
     has_training = "train" in set(table.runs[column].to_pylist())
     train = table.chosen(**{column: "train"}) if has_training else np.zeros(0, dtype=np.int64)
@@ -157,10 +162,10 @@ def prediction_tables(
         test = test[np.isin(ids[test], by_share(ids[test].tolist(), recordings)[:limit])]
     similar = SimilarPasts.of(table, everything, closer_than=load_prediction_protocol().evaluation.similar_past)
     rows = load_tables().rows
-    missing = {}
+    missing = dict(failed)
     for done, row in enumerate(rows):
         progress(done, len(rows), row.label)
-        if row.name in scores:
+        if row.name in scores or row.name in missing:
             continue
         if row.method in scoring.references():
             scores[row.name] = scoring.score_reference(scoring.references()[row.method], table, test, similar=similar)
@@ -187,6 +192,11 @@ def prediction_tables(
     tables = [_laid_out(number, table, part, scores, missing, samples) for number in TABLES]
     value = _values_of_conditions(table.info.dataset, scores)
     return [*tables, value] if value.blocks else tables
+
+
+def split_column(table: WindowsTable) -> str:
+    """Return the column of the runs that says what is tested: the study's split where it has a test part."""
+    return "published_split" if "test" in set(table.runs["published_split"].to_pylist()) else "split"
 
 
 def _predictor(row: TableRow, table: WindowsTable, train: np.ndarray, weights: Path | None, device: str) -> Predictor:
@@ -219,13 +229,14 @@ def scores_of_runs(paths: Sequence[Path], table: WindowsTable) -> dict[str, Scor
     found: dict[str, Scores] = {}
     for path in run_folders(paths):
         run, files = run_on(path, table)
-        # Ablations have the method and condition of their whole method, and are known by the name of their weights.
+        # Ablations have the method and condition of their whole method, and are known by the name of their weights or
+        # of the run's folder.
         asked = (run.record.method.name, run.record.condition)
-        weights = Path(run.record.method.weights or "").stem
+        known = {Path(run.record.method.weights or "").stem, path.name}
         rows = [row for row in load_tables().rows if (row.method, row.condition) == asked]
         if not rows:
             raise RunError(f"{path}: {asked[0]} under {asked[1]} is no row of the study's tables.")
-        named = [row for row in rows if row.weights and row.weights == weights]
+        named = [row for row in rows if {row.weights, row.name} & known]
         row = (named or [row for row in rows if not row.is_ablation])[0]
         if row.name in found:
             raise RunError(f"{path}: a second run of the row '{row.label}'. Name one of them.")

@@ -18,10 +18,13 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 from prbench.curation.job import NativeSource, PartReceipt, RecordingJob, native_sources, part_receipt, provenance_of
+from prbench.curation.mending import Numbers
 from prbench.curation.options import BuildOptions
 from prbench.curation.splits import draw_splits
+from prbench.curation.stream_checks import sound
 from prbench.engine import IN_PROCESS, Engine
 from prbench.engine.shards import Shard, ShardRecord, require_settings
+from prbench.errors import UsageError
 from prbench.files.bounded import require
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import head_forward
@@ -186,11 +189,15 @@ class NativeWindows:
 
     Attributes:
         native: Whether the joints are those of the study.
+        shift: Seconds that are added to the times of streams (:mod:`prbench.curation.mending`).
+        scale: Factors on the positions of streams.
     """
 
     source: NativeSource
     manifest: Manifest
     native: bool
+    shift: Numbers = ()
+    scale: Numbers = ()
 
     @property
     def recording_id(self) -> str:
@@ -216,7 +223,8 @@ class NativeWindows:
     @property
     def settings(self) -> str:
         """Digest of everything but the files and the protocol that decides what comes out."""
-        return text_digest(digest_of(self.manifest), load_protocol().digest, self.joint_set)
+        mending = repr((self.shift, self.scale))
+        return text_digest(digest_of(self.manifest), load_protocol().digest, self.joint_set, mending)
 
     def input_digest(self) -> str:
         """Digest of its files."""
@@ -227,10 +235,10 @@ class NativeWindows:
         return self.source.without_places(message)
 
     def cut(self, protocol: PredictionProtocol) -> tuple[RecordingRow, Iterator[table.Run]]:
-        """Read it, and cut it; what decides its split stands in the row.
+        """Read it, examine its streams, and cut it; what decides its split and what was noticed stand in the row.
 
         Raises:
-            PrbenchError: if it cannot be read.
+            PrbenchError: if it cannot be read, or a stream is certainly wrong.
         """
         source = self.source
         reader = self._reader
@@ -240,7 +248,9 @@ class NativeWindows:
             recording, tracks = reader.read_published(source.found, native=self.native)
         else:
             recording = reader.read(source.found)
+        recording, findings = sound(recording, self.shift, self.scale, unused=("hands", "objects"))
         row = row_of(recording, source.split or "", recording.split_group)
+        row = replace(row, findings=findings, message="; ".join(findings))
         if tracks is None:
             return row, runs_of_recording(recording, protocol.windows, split=row.split)
         published = protocol.published_splits.get(source.dataset)
@@ -338,6 +348,8 @@ def plan_windows(
     recordings: str = "*",
     limit: int | None = None,
     reader: tuple[tuple[str, str], ...] = (),
+    shift: Numbers = (),
+    scale: Numbers = (),
 ) -> WindowsPlan:
     """Find the recordings of a dataset's native files that are to be cut.
 
@@ -348,9 +360,11 @@ def plan_windows(
         recordings: Glob of recordings.
         limit: Largest number of recordings.
         reader: Options of the reader.
+        shift: Seconds that are added to the times of streams; one that is named is vouched for.
+        scale: Factors on the positions of streams.
 
     Raises:
-        UsageError: for an unknown dataset or option.
+        UsageError: for an unknown dataset or option, and for published segments that shall be moved.
         InputFileError: if there is nothing to read, or ``native`` is asked of a dataset that nobody published.
     """
     sources = native_sources(dataset, root, BuildOptions(recordings=recordings, limit=limit, reader=reader))
@@ -360,10 +374,16 @@ def plan_windows(
     expected = "a dataset with joints of its own that a study of prediction published"
     remedy = "Leave the option out: every dataset has the 22 joints."
     require(root, (published or joints != "native", "", expected, name, remedy))
+    if published and any(number != 0 for _, number in shift) | any(number != 1 for _, number in scale):
+        said = f"the segments of {name} are read as they were published, which nothing moves or scales"
+        raise UsageError(f"--shift, --scale: {said}. Correct the files; --shift STREAM=0 vouches for a stream.")
     native = published and joints != "smpl22"
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}
-    return WindowsPlan(name, tuple(NativeWindows(source, manifest, native) for source in sources), chosen)
+    for option, numbers in (("shift", shift), ("scale", scale)):
+        chosen |= {f"{option}.{stream}": f"{number:g}" for stream, number in numbers}
+    cut = (NativeWindows(source, manifest, native, shift, scale) for source in sources)
+    return WindowsPlan(name, tuple(cut), chosen)
 
 
 def build_windows(

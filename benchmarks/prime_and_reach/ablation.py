@@ -6,11 +6,9 @@ left, and rows that share a training or a run share its folder. When a row fails
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import msgspec
 
 from prbench.board import collect_runs, make_leaderboard
 from prbench.board.collect import Check
@@ -18,8 +16,7 @@ from prbench.board.export import part_title, table_notes
 from prbench.board.tables import TableRow, of_all_methods
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.errors import PrbenchError, StorageError, TrainingStopped, UsageError
-from prbench.files.storage import file_digest
+from prbench.errors import UsageError
 from prbench.harness.methods.installed import load_task
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
@@ -27,7 +24,8 @@ from prbench.harness.run_folder.record import FILE_NAME as RUN
 from prbench.protocol.published import DATASETS, load_published, published_table
 from prbench.tables import Block, Column, Row, Table
 from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
-from prbench_adapters.training.report import WEIGHTS, read_record
+from prbench_adapters.training.report import WEIGHTS
+from prbench_adapters.training.rows import PAPER, RUNS, SMOKE, RowsRequest, Say, row_by_row, training_stamp
 from prbench_adapters.training.run import TrainRequest, resolved, train
 from prbench_benchmarks.prime_and_reach.study.methods import (
     CONDITION_COLUMN,
@@ -40,17 +38,13 @@ from prbench_benchmarks.prime_and_reach.study.methods import (
 
 # Tables of ablations, as the study numbers them.
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
-# Configuration of a few steps: shows that everything runs, and learns nothing.
-SMOKE = "smoke"
-PAPER = "paper"
-_RUNS = "runs"
 # Options of an optimisation at smoke size.
 _FEW_ITERATIONS = {"iterations": "2", "ddim-steps": "2"}
 _COLUMNS = (CONDITION_COLUMN, Column(key="method", title="Variant", text=True), *METRIC_COLUMNS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AblationRequest:
+class AblationRequest(RowsRequest):
     """The rows of one table, trained and run.
 
     Raises:
@@ -58,20 +52,11 @@ class AblationRequest:
 
     Attributes:
         table: ``3``, ``4`` or ``S4`` to ``S7``.
-        data: Built dataset folders: their training split is learnt from, their test split is run.
         corpora: Maps ``nymeria`` and ``humanml3d`` to built corpus folders.
-        limit: Sequences of each dataset that are run.
     """
 
     table: str
-    data: tuple[Path, ...]
-    out: Path
     corpora: Mapping[str, Path] = field(default_factory=dict)
-    configuration: str = PAPER
-    device: str = "cpu"
-    threads: int = 1
-    limit: int | None = None
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.table not in TABLES:
@@ -90,21 +75,12 @@ class AblationRequest:
         """The rows of the table in printed order."""
         return tuple(row for row in load_ablations() if row.table == self.table)
 
-    @property
-    def folder(self) -> Path:
-        """Folder of the trainings and runs of this configuration."""
-        return self.out / Path(self.configuration).stem
-
     def options_of(self, row: Ablation) -> dict[str, str]:
         """Return the options of a row's run; at smoke size an optimisation takes few steps."""
         options = dict(row.options)
         if self.configuration == SMOKE and options.get("optimise") != "off":
             options |= _FEW_ITERATIONS
         return options
-
-
-# Called with a line for every step that begins.
-Say = Callable[[str], None]
 
 
 def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple[list[Path], dict[str, str]]:
@@ -117,34 +93,30 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple
         StorageError: if a file cannot be written.
         TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
     """
-    failed: dict[str, str] = {}
     runs: list[Path] = []
     same = {"configuration": request.configuration, "device": request.device, "threads": request.threads}
-    for row in request.rows:
-        try:
-            initial = None
-            if row.pretraining != "none":
-                prior = request.folder / row.prior_name
-                say(f"pre-training for '{row.variant}': {prior}")
-                data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
-                changes = overrides(row.pretrained_model)
-                train(TrainRequest(method="mdm", stage="pretrain", data=data, out=prior, overrides=changes, **same))
-                initial = prior / WEIGHTS
-            trained = request.folder / row.training_name
-            say(f"fine-tuning '{row.variant}': {trained}")
-            learnt = {"data": request.data, "out": trained, "overrides": overrides(row.model), "initial": initial}
-            train(TrainRequest(method="pr", stage="finetune", **learnt, **same))
-            out = request.folder / _RUNS / row.run_name
-            say(f"running '{row.variant}': {out}")
-            asked = {name: getattr(request, name) for name in ("data", "limit", "seed", "device", "threads")}
-            asked |= {"weights": trained / WEIGHTS, "options": request.options_of(row), "out": out}
-            run_method(RunRequest(method="pr", condition=Condition.GOAL_LOCATION, **asked), engine=engine)
-            runs.append(out)
-        except (StorageError, TrainingStopped):
-            raise
-        except Exception as error:  # one row, of days perhaps, must not cost the others
-            failed[row.variant] = str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
-            say(f"failed: {row.variant}: {failed[row.variant]}")
+
+    def work(row: Ablation) -> None:
+        initial = None
+        if row.pretraining != "none":
+            prior = request.folder / row.prior_name
+            say(f"pre-training for '{row.variant}': {prior}")
+            data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
+            changes = overrides(row.pretrained_model)
+            train(TrainRequest(method="mdm", stage="pretrain", data=data, out=prior, overrides=changes, **same))
+            initial = prior / WEIGHTS
+        trained = request.folder / row.training_name
+        say(f"fine-tuning '{row.variant}': {trained}")
+        learnt = {"data": request.data, "out": trained, "overrides": overrides(row.model), "initial": initial}
+        train(TrainRequest(method="pr", stage="finetune", **learnt, **same))
+        out = request.folder / RUNS / row.run_name
+        say(f"running '{row.variant}': {out}")
+        asked = {name: getattr(request, name) for name in ("data", "limit", "seed", "device", "threads")}
+        asked |= {"weights": trained / WEIGHTS, "options": request.options_of(row), "out": out}
+        run_method(RunRequest(method="pr", condition=Condition.GOAL_LOCATION, **asked), engine=engine)
+        runs.append(out)
+
+    failed = row_by_row(request.rows, work, name=lambda row: row.variant, say=say)
     return list(dict.fromkeys(runs)), failed
 
 
@@ -165,8 +137,8 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
     """
     rows = [row for row in load_ablations() if row.table == number]
     names = {row.run_name for row in rows}
-    runs = [folder / _RUNS / name for name in sorted(names) if (folder / _RUNS / name / RUN).is_file()]
-    board = make_leaderboard(collect_runs(runs or [folder / _RUNS], check=check))
+    runs = [folder / RUNS / name for name in sorted(names) if (folder / RUNS / name / RUN).is_file()]
+    board = make_leaderboard(collect_runs(runs or [folder / RUNS], check=check))
     published = []
     for dataset in DATASETS if with_published else ():
         numbers = [each for each in load_published(number) if each.dataset == dataset]
@@ -177,7 +149,7 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
         by_name = {row.entry.run: row for row in table.rows}
         found = [(row, by_name[row.run_name]) for row in rows if row.run_name in by_name]
         missing = [row for row in rows if row.run_name not in by_name]
-        stamps = {row.variant: training_stamp(row, run, folder) for row, run in found}
+        stamps = {row.variant: ablation_stamp(row, run, folder) for row, run in found}
         measured = []
         for row, run in found:
             about = {"condition": row.condition, "variant": row.variant, "note": stamps[row.variant]}
@@ -193,24 +165,10 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
     return parts
 
 
-def training_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
-    """Return what sets the training behind a run apart from the study's; empty if nothing does.
-
-    The digest of the run's weights decides which training is meant, not the name of a folder.
-    """
-    trained = folder / row.training_name
-    weights = trained / WEIGHTS
-    if not weights.is_file() or file_digest(weights) != run.entry.record.method.weights_digest:
-        return "TRAINING UNKNOWN: the weights of this run are not in the folder of its training"
-    record = read_record(trained)
+def ablation_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
+    """Return what sets a run and its training apart from the study's; empty if nothing does."""
     wanted = resolved(load_task("pr"), PAPER, stage="finetune", overrides=overrides(row.model))[1]
-    found = record.configuration
-    # How often is saved and logged decides no weight.
-    bookkeeping = {"save_every": wanted.training.save_every, "log_every": wanted.training.log_every}
-    if msgspec.structs.replace(found, training=msgspec.structs.replace(found.training, **bookkeeping)) != wanted:
-        return f"NOT THE STUDY'S CONFIGURATION: {found.training.steps} steps of {wanted.training.steps}"
-    if any(one.synthetic for one in record.data):
-        return "TRAINED ON SYNTHETIC DATA"
-    if run.entry.record.method.options != dict(row.options):
-        return "OTHER OPTIONS THAN THE STUDY'S ROW"
-    return ""
+    method = run.entry.record.method
+    if stamp := training_stamp(folder / row.training_name, method.weights_digest, wanted):
+        return stamp
+    return "" if method.options == dict(row.options) else "OTHER OPTIONS THAN THE STUDY'S ROW"

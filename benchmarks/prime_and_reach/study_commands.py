@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,6 +23,7 @@ if TYPE_CHECKING:  # help is quick: tables load NumPy
 
 
 Paths = tuple[Path, ...]
+_SUFFIXES = (".csv", ".tex", ".md")  # of the tables that --train writes
 
 
 class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,14 +57,16 @@ def _answer(
 ) -> Answer:
     """Write the tables, and answer with their numbers, further lines, and the written files.
 
-    ``more`` are fields of the report, and ``between``, which stands between a number and its interval.
+    ``more`` are fields of the report, and ``between``, which stands between a number and its interval, and
+    ``pictures`` that were drawn of the tables.
     """
     from prbench.tables import write_tables
 
     between = more.pop("between", " ")
+    pictures = more.pop("pictures", ())
     for path in files:
         write_tables(tables, path)
-    written = [*([] if drawn is None else [drawn]), *files]
+    written = [*([] if drawn is None else [drawn]), *files, *pictures]
     report = StudyReport(tables=list(tables), files=written, out=drawn, **more)
 
     def show() -> None:
@@ -129,7 +133,7 @@ def _mapping(item: str, inputs: Paths, *, root: Path | None, smpl: Path | None, 
     if root is None or inputs:
         raise UsageError(f"study {item}: name one --root DIR, your copy of Nymeria, and no DIR else.")
     tables, failed = load_built_in(STUDY_ITEMS, item)(root, smpl)
-    return _answer(tables, out, lines=[f"failed: {name}: {why}" for name, why in failed.items()], failed=failed)
+    return _answer(tables, out, lines=_failures(failed), failed=failed)
 
 
 def _prediction(item: str, inputs: Paths, *, out: Paths, **settings: Any) -> Answer:
@@ -146,17 +150,15 @@ def _prediction(item: str, inputs: Paths, *, out: Paths, **settings: Any) -> Ans
     return _answer(made, files, pictures[0] if pictures else None, between="\n", caption=caption)
 
 
-def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, **settings: Any) -> Answer:
+def _train(item: str, folders: Paths, *, data: Paths, workers: int, **settings: Any) -> Answer:
     """Train and run the rows of a table of ablations, and write it in all formats beside them."""
     from prbench.engine import engine_for
     from prbench_benchmarks.prime_and_reach.ablation import AblationRequest, ablation_table, run_ablation
 
-    if folders or len(out) > 1 or not data:
-        raise UsageError(f"study {item} --train: expected --data DIR... and at most one --out DIR, and no DIR else.")
-    session().resumes = True
+    if folders or not data:
+        raise UsageError(f"study {item} --train: expected --data DIR..., and no DIR else.")
     named = {name: settings.pop(name) for name in ("nymeria", "humanml3d")}
     settings["corpora"] = {name: folder for name, folder in named.items() if folder is not None}
-    settings |= {"out": out[0] if out else Path("ablations"), "configuration": str(settings["configuration"])}
     request = AblationRequest(table=_number(item), data=data, **settings)
     runs, failed = run_ablation(request, engine=engine_for(workers), say=note)
     tables = []
@@ -164,9 +166,33 @@ def _train(item: str, folders: Paths, *, data: Paths, out: Paths, workers: int, 
     if runs:
         check = opt.run_checker(data, workers).check
         tables = ablation_table(_number(item), request.folder, check, with_published=True)
-        files = [request.folder / f"{item.replace('-', '_')}{suffix}" for suffix in (".csv", ".tex", ".md")]
-    lines = [f"failed: {name}: {reason}" for name, reason in failed.items()]
-    return _answer(tables, files, lines=lines, folder=request.folder, runs=runs, failed=failed)
+        files = [request.folder / f"{item.replace('-', '_')}{suffix}" for suffix in _SUFFIXES]
+    return _answer(tables, files, lines=_failures(failed), folder=request.folder, runs=runs, failed=failed)
+
+
+def _train_prediction(item: str, windows: Paths, *, workers: int, **settings: Any) -> Answer:
+    """Train and run the rows of the study of motion prediction; write its tables, and a picture a dataset."""
+    from prbench.engine import engine_for
+    from prbench_adapters.training.rows import RowsRequest
+
+    if not windows:
+        raise UsageError(f"study {item} --train: name WINDOWS..., tables of `prbench build-windows`, one a dataset.")
+    request = RowsRequest(data=windows, **settings)
+    with progress(f"study {item}") as tell:
+        made = load_built_in(STUDY_ITEMS, "prediction-training")(
+            request, engine=engine_for(workers), say=note, tell=tell
+        )
+    pictures = [request.folder / f"prediction-{dataset}.png" for dataset in made.tables]
+    for tables, picture in zip(made.tables.values(), pictures, strict=True):
+        load_built_in(STUDY_ITEMS, "prediction-figure")(tables, picture)
+    files = [request.folder / f"prediction{suffix}" for suffix in _SUFFIXES]
+    about = {"folder": request.folder, "runs": list(made.runs), "failed": dict(made.failed), "between": "\n"}
+    tables = list(itertools.chain.from_iterable(made.tables.values()))
+    return _answer(tables, files, lines=_failures(made.failed), pictures=pictures, **about)
+
+
+def _failures(failed: Mapping[str, str]) -> list[str]:
+    return [f"failed: {name}: {reason}" for name, reason in failed.items()]
 
 
 def _distributions(_item: str, folders: Paths, *, out: Paths) -> Answer:
@@ -229,20 +255,27 @@ def _motions(item: str, inputs: Paths, *, out: Paths, data: Paths | None = None,
 
 
 class _Item(NamedTuple):
-    """A table or figure: what it shows, what it is made from, the options that it takes, and the function."""
+    """A table or figure: what it shows, what it is made from, the options that it takes, and the function.
+
+    ``train`` is the function behind ``--train``, with the options that it takes then.
+    """
 
     title: str
     inputs: str
     options: tuple[str, ...]
     make: Callable[..., Answer]
-    trains: bool = False
+    train: Callable[..., Answer] | None = None
+    training: tuple[str, ...] = ()
 
 
 _OF_RUNS = ("data", "with_published", "out", "workers")
 _OF_SCORES = ("data", "numbers", "out", "workers")
 _OF_MOTIONS = ("sequences", "limit", "permission", "out")
-_TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
-_PREDICTED = "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows"
+_TRAINED = ("configuration", "out", "limit", "device", "threads", "seed", "workers")
+_TRAINING = ("data", "nymeria", "humanml3d", *_TRAINED)
+_PREDICTED = (
+    "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows (--train: several windows)"
+)
 _RECONSTRUCTED = ("data", "with_published", "device", "out")
 _PREDICTION = ("weights", "limit", "device", "seed", "out")
 _ABLATIONS = {
@@ -260,9 +293,9 @@ _ITEMS = {
     "table-s2": _Item("sequences and recordings of each split", "DIR", ("out",), _sizes),
     "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", _OF_RUNS, _methods),
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
-    **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
+    **{name: _Item(title, "DIR", _OF_RUNS, _ablation, _train, _TRAINING) for name, title in _ABLATIONS.items()},
     "three-points": _Item("bodies from head and wrists", "RUN", ("with_published", "out"), _evaluations),
-    "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction),
+    "prediction": _Item(_PREDICTED, "DIR", _PREDICTION, _prediction, _train_prediction, _TRAINED),
     "nymeria-table-5": _Item("weights of motion-tokens on --data", "FILE", _RECONSTRUCTED, _tokens),
     "nymeria-mapping": _Item("the suit's bones, floor and SMPL fit", "--root DIR", ("root", "smpl", "out"), _mapping),
     "nymeria-table-6": _Item("captions of motions", "FILE", ("with_published", "out"), _evaluations),
@@ -313,8 +346,8 @@ class _OutType(PlaceType):
     "--train",
     is_flag=True,
     is_eager=True,
-    help="Tables 3, 4 and S4 to S7: train and run the rows, then print the table. A row that fails ends nothing but"
-    " itself; the same command tries it again and goes on where it was interrupted.",
+    help="Tables 3, 4 and S4 to S7, and prediction: train and run the rows, then print the table. A row that fails ends"
+    " nothing but itself; the same command tries it again and goes on where it was interrupted.",
 )
 @opt.data_option(
     required=False,
@@ -375,12 +408,16 @@ def study(ctx: click.Context, item: str, inputs: Paths, train: bool, **given: An
     """
     row = _ITEMS[item]
     name = f"study {item} --train" if train else f"study {item}"
-    if train and not row.trains:
-        rows = ", ".join(each for each, about in _ITEMS.items() if about.trains)
+    if train and row.train is None:
+        rows = ", ".join(each for each, about in _ITEMS.items() if about.train)
         raise UsageError(f"study {item} has nothing to train; --train goes with: {rows}.")
-    chosen = taken_options(ctx, name, given, _TRAINING if train else row.options)
-    if train:
-        return _train(item, inputs, **chosen)
+    chosen = taken_options(ctx, name, given, row.training if train else row.options)
+    if row.train and train:
+        if len(chosen["out"]) > 1:
+            raise UsageError(f"{name}: expected at most one --out DIR, found {len(chosen['out'])}.")
+        session().resumes = True
+        folder = chosen["out"][0] if chosen["out"] else Path("ablations")
+        return row.train(item, inputs, **chosen | {"out": folder, "configuration": str(chosen["configuration"])})
     if not inputs and "root" not in row.options:
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.

@@ -121,6 +121,13 @@ def note_unread(records: Sequence[Recording | corpus.CorpusRecord], *, reused: i
         note(f"remark: on {rest} more recordings, see the column `message`")
 
 
+def note_findings(records: Iterable[Recording]) -> None:
+    """Name the recordings whose streams are suspicious."""
+    for record in records:
+        for finding in record.findings:
+            note(f"streams: {record.recording_id}: {finding}")
+
+
 def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     """Name the recordings that are missing from a table, cut short, so that events may be missing, or without sequence.
 
@@ -131,8 +138,7 @@ def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     for record in records:
         for shortfall in record.shortfalls:
             note(f"cut short: {record.recording_id}: {shortfall}")
-        for finding in record.findings:
-            note(f"streams: {record.recording_id}: {finding}")
+    note_findings(records)
     for record in records:
         if record.is_fruitless:
             note(f"no sequence: {record.recording_id}: {record.why_fruitless}")

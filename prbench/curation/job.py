@@ -21,11 +21,10 @@ import pyarrow as pa
 from prbench import readers
 from prbench.curation.corrections import DROPPED, Corrections, UnknownEventError
 from prbench.curation.curate import CuratedRecording, curate_recording
-from prbench.curation.mending import mended, named_streams
 from prbench.curation.options import BuildOptions, CurationOptions
-from prbench.curation.stream_checks import examine_streams
+from prbench.curation.stream_checks import sound
 from prbench.engine import Engine, is_out_of_memory
-from prbench.errors import InputFileError, PrbenchError, RecordingUnusable, UsageError
+from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input, require
 from prbench.files.storage import file_digest, text_digest
@@ -309,12 +308,8 @@ class CurationJob(RecordingJob):
 
     def make(self, source: RecordingSource) -> tuple[RecordingRow, dict[str, pa.RecordBatch]]:
         """See :class:`RecordingJob`."""
-        options = (self.options.shift, self.options.scale)
-        recording = mended(source.read(), *options)
-        findings = examine_streams(recording, named_streams(recording.recording_id, *options))
-        if certain := [str(each) for each in findings if each.certain]:
-            raise RecordingUnusable(" ".join(certain))
-        about = {"corrections": self.corrections.get(source.recording_id), "findings": tuple(map(str, findings))}
+        recording, findings = sound(source.read(), self.options.shift, self.options.scale)
+        about = {"corrections": self.corrections.get(source.recording_id), "findings": findings}
         rules = (self.manifest, self.protocol, self.options)
         curated = curate_recording(recording, *rules, split=source.split or "", **about)
         return curated.record, _tables(curated)

@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.curation.in_hand import runs
-from prbench.curation.mending import SAME_PLACE, rides
+from prbench.curation.mending import SAME_PLACE, Numbers, mended, named_streams, rides
 from prbench.diagnosis import Diagnosis
+from prbench.errors import RecordingUnusable
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, head_forward
 from prbench.geometry.timelines import covered, interpolate
 from prbench.recording import SIDES, Recording
@@ -158,6 +159,27 @@ def examine_streams(recording: Recording, trusted: Collection[str] = ()) -> tupl
     faults = (stuck | found).items()
     judged = [replace(fault, certain=fault.certain and name not in trusted) for name, fault in faults]
     return tuple(sorted(judged, key=lambda fault: not fault.certain))
+
+
+def sound(
+    recording: Recording, shift: Numbers = (), scale: Numbers = (), *, unused: Collection[str] = ()
+) -> tuple[Recording, tuple[str, ...]]:
+    """Return a recording, mended as the user asks, and what :func:`examine_streams` has to tell of it.
+
+    Args:
+        recording: What a reader yields.
+        shift: See :func:`prbench.curation.mending.mended`; a stream that is named is vouched for.
+        scale: See there.
+        unused: Streams that nothing is made of: their findings are told, and refuse nothing.
+
+    Raises:
+        RecordingUnusable: if a stream is certainly wrong: what is made of it would be, too.
+    """
+    recording = mended(recording, shift, scale)
+    findings = examine_streams(recording, named_streams(recording.recording_id, shift, scale).union(unused))
+    if certain := [str(each) for each in findings if each.certain]:
+        raise RecordingUnusable(" ".join(certain))
+    return recording, tuple(map(str, findings))
 
 
 def gridded(recording: Recording, grid: Float[np.ndarray, " n"]) -> Gridded:

@@ -13,6 +13,7 @@ from prbench.randomness import noise_seed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.coefficient_diffusion import (
     CoefficientDiffusion,
+    ConditionEncoder,
     GraphAttention,
     PreparedCondition,
     Whitening,
@@ -98,6 +99,43 @@ GRAPH = torch.tensor([[[[1.0, 3.0], [5.0, 9.0]]]])
 
 def test_without_scores_every_entry_is_the_mean(layer):
     assert torch.equal(layer(GRAPH), torch.full((1, 1, 2, 2), 4.5))
+
+
+def test_what_is_aggregated_passes_two_leaky_rectifiers_in_the_paper_s_layer():
+    leaky = GraphAttention(1, 1, 2, 2, 1, leaky=True).requires_grad_(False)
+    for parameter in leaky.parameters():
+        parameter.zero_()
+    leaky.channels.fill_(1.0)
+    torch.testing.assert_close(leaky(-GRAPH), torch.full((1, 1, 2, 2), -4.5 * 0.2 * 0.2))
+    torch.testing.assert_close(leaky(GRAPH), torch.full((1, 1, 2, 2), 4.5))
+
+
+def test_the_paper_s_encoder_ends_within_one_and_without_its_input():
+    tiny = {"n_joints": 3, "encoder_width": 4}
+    nodes = 50 * torch.randn(2, 3, 3, 10)
+    ends = {}
+    for name in ("gazemodiff", "gazemodiff-paper"):
+        encoder = ConditionEncoder(preset(name, **tiny, encoder_heads=2)).eval().pose
+        ends[name] = encoder(nodes).abs().max()
+    assert ends["gazemodiff-paper"] <= 1.0 < ends["gazemodiff"]
+
+
+def test_the_paper_s_cross_attention_is_its_equation_5(monkeypatch):
+    shape = preset("gazemodiff-paper", n_joints=2, width=8, heads=2, encoder_width=4)
+    model = CoefficientDiffusion(shape).eval()
+    cross = model.denoiser.blocks[0].cross
+    assert cross is not None
+    monkeypatch.setattr(cross.style, "forward", lambda weighed, _: weighed)  # what comes before the stylisation
+    stream, condition = torch.randn(2, 3, 10, 8), torch.randn(2, 10, shape.values)
+    found = cross(stream, torch.zeros(1), cross.memory(condition))
+    queries, values = (condition @ part.T for part in cross.key_value.weight.split(8))
+    values = functional.layer_norm(values, (8,))
+    keys = functional.layer_norm(stream, (8,)) @ cross.query.weight.T
+    for head in (slice(0, 4), slice(4, 8)):
+        for sample in range(3):
+            memory = keys[1, sample, :, head].softmax(dim=0).T @ values[1, :, head]
+            expected = queries[1, :, head].softmax(dim=1) @ memory
+            torch.testing.assert_close(found[1, sample, :, head], expected)
 
 
 def test_scores_of_the_token_that_is_looked_at(layer):

@@ -16,9 +16,11 @@ from prbench.errors import AdapterError, InputFileError, PrbenchError, TrainingS
 from prbench.geometry.skeleton import BONES, Joint
 from prbench.harness.methods.installed import load_task
 from prbench_adapters.prediction.adapter import LearnedPredictor, load_predictor
-from prbench_adapters.prediction.training import RateCourse, augmented, mirror_partners
+from prbench_adapters.prediction.configuration import preset
+from prbench_adapters.prediction.training import RateCourse, _augmented_alike, augmented, mirror_partners
 from prbench_adapters.training.batches import WindowChoice, WindowsDataset
-from prbench_adapters.training.run import TrainRequest, train
+from prbench_adapters.training.run import TrainRequest, resolved, train
+from prbench_adapters.training.weights import read_weights
 from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, ask
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 from tests.benchmarks.motion_prediction.windows import walking, write
@@ -250,15 +252,15 @@ def _request(trained, name, model):
 
 
 @pytest.mark.parametrize(
-    "preset", ["no-graph-attention", "no-cross-attention", "no-gaze-encoder", "no-motion-encoder", "gazemodiff-paper"]
+    "name", ["no-graph-attention", "no-cross-attention", "no-gaze-encoder", "no-motion-encoder", "gazemodiff-paper"]
 )
-def test_ablations_are_configurations(preset, trained):
-    module = _request(trained, "gazemodiff", {"preset": preset, "encoder_width": 4, "width": 16, "heads": 2})
+def test_ablations_are_configurations(name, trained):
+    module = _request(trained, "gazemodiff", {"preset": name, "encoder_width": 4, "width": 16, "heads": 2})
     network = module.record.network
-    assert network.fusion == ("concatenation" if preset == "no-graph-attention" else "graph-attention")
-    assert network.cross_attention is (preset != "no-cross-attention")
-    assert network.gaze_encoder is (preset != "no-gaze-encoder")
-    assert network.pose_encoder is (preset != "no-motion-encoder")
+    assert network.fusion == ("concatenation" if name == "no-graph-attention" else "graph-attention")
+    assert network.cross_attention is (name != "no-cross-attention")
+    assert network.gaze_encoder is (name != "no-gaze-encoder")
+    assert network.pose_encoder is (name != "no-motion-encoder")
     assert network.gaze
 
 
@@ -328,3 +330,55 @@ def test_a_turn_is_about_the_vertical_and_keeps_bones(motion):
         (motion[:, :, parents] - motion[:, :, children]).norm(dim=-1),
     )
     torch.testing.assert_close(found[:, :, 22].norm(dim=-1), motion[:, :, 22].norm(dim=-1))
+
+
+def test_the_published_augmentation_is_one_for_the_whole_batch_and_leaves_labels(motion):
+    both = torch.cat([motion, motion])
+    seen = set()
+    for seed in range(12):
+        found = _augmented_alike(both, torch.Generator().manual_seed(seed))
+        torch.testing.assert_close(found[: len(motion)], found[len(motion) :])
+        assert torch.equal(found[..., 1], both[..., 1])
+        torch.testing.assert_close(found.norm(dim=-1), both.norm(dim=-1))
+        # An odd number of negated axes makes a mirror: left wrists stay left wrists there.
+        sides = found[:, :, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST, Joint.HEAD]]
+        seen.add(bool(torch.det(sides[0, 0]).sign() == torch.det(both[0, 0, [20, 21, 15]]).sign()))
+    assert seen == {True, False}
+
+
+def test_no_augmentation_shows_windows_as_they_are(trained):
+    shown = []
+    for augmentation in ("none", "mirror"):
+        given = {"windows": {"augmentation": augmentation}, "width": 16, "heads": 2, "encoder_width": 4}
+        module = _request(trained, "gazemodiff", given)
+        module.losses = lambda _, motion, *__: shown.append(motion) or {}
+        data = WindowsDataset([trained.folder / "windows"])
+        batch = data.collate([data[place] for place in range(4)])
+        module(batch, 0)
+        shown.append(module.shown(batch))
+    assert torch.equal(shown[0], shown[1])
+    assert not torch.equal(shown[2], shown[3])
+
+
+def test_an_encoder_apart_keeps_its_learning_rate_and_is_not_averaged(trained):
+    halted = (("model.rate.milestones", "[0.5]"), ("model.rate.factor", "1e-9"), ("training.steps", "12"))
+    found = {}
+    for name, more in (("one", ()), ("apart", (("model.rate.encoder_apart", "true"),))):
+        train(trained.request("gazemodiff", f"optimiser-{name}", *halted, *more))
+        found[name] = read_weights(
+            trained.folder / f"optimiser-{name}" / "weights.safetensors", kind="gazemodiff"
+        ).tensors
+    moved = {key: float((found["one"][key] - found["apart"][key]).abs().max()) for key in found["one"]}
+    encoder = [change for key, change in moved.items() if "encoder" in key]
+    others = [change for key, change in moved.items() if "encoder" not in key]
+    assert max(encoder) > 1e-3  # six further steps at 1e-3 each, not averaged
+    assert max(others) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["paper", "code"])
+def test_each_side_has_a_preset_and_a_configuration(name):
+    model = resolved(load_task("gazemodiff"), name)[1].model
+    assert model["preset"] == f"gazemodiff-{name}"
+    assert preset(model["preset"], n_joints=21).legacy_layout is (name == "code")
+    assert model["windows"]["augmentation"] == {"paper": "none", "code": "published"}[name]
+    assert model["rate"].get("encoder_apart", False) is (name == "code")

@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import InputFileError, PrbenchError, TableError
+from prbench.errors import InputFileError, PrbenchError, TableError, UsageError
 from prbench.protocol.manifests import load_manifest
+from prbench.readers.mogaze.format import Segment
 from prbench.readers.mogaze.synthetic import write
 from prbench.recording import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
 from prbench.sequences.schema import digests_of_files
@@ -30,9 +31,9 @@ from prbench_benchmarks.motion_prediction.windows import (
     runs_of_tracks,
     window_starts,
 )
-from tests.benchmarks.motion_prediction.windows import mogaze
+from tests.benchmarks.motion_prediction.windows import mogaze, swaying
 from tests.fakes import STANDING
-from tests.recording.mogaze_scene import still_life
+from tests.recording.mogaze_scene import N, still_life
 
 RULES = load_prediction_protocol().windows
 
@@ -220,6 +221,26 @@ def test_a_damaged_recording_is_left_out_and_named(tmp_path):
     assert WindowsTable.open(tmp_path / "windows").info == info
 
 
+def test_a_recording_whose_body_does_not_move_is_left_out_and_named_unless_it_is_vouched_for(tmp_path):
+    root = shutil.copytree(mogaze(), tmp_path / "mogaze")
+    frozen = replace(still_life(), recording_id="p1_1", segments=(Segment(0, N, "null"),))
+    write(replace(frozen, gaze_points=swaying().gaze_points), root)
+    info = build_windows(plan_windows("mogaze", root), tmp_path / "windows").info
+    assert [(each.recording_id, each.status) for each in info.quarantine] == [("p1_1", "failed"), ("p7_2", "skipped")]
+    assert info.quarantine[0].message.startswith("body: does not move at all for")
+    told = build_windows(plan_windows("mogaze", root, shift=(("body", 0.0),)), tmp_path / "vouched")
+    assert told.info.recordings == 2
+    assert any(finding.startswith("body: does not move at all") for finding in told.records[0].findings)
+    # Nothing of a window is made of objects: a cup that moves by itself is told, and refuses nothing.
+    assert [finding.split(":")[0] for finding in told.records[1].findings] == ["objects"]
+    assert told.info.options["shift.body"] == "0"
+
+
+def test_published_segments_are_not_moved():
+    with pytest.raises(UsageError, match="nothing moves or scales"):
+        plan_windows("mogaze", mogaze(), shift=(("gaze", -0.5),))
+
+
 def test_native_joints_of_a_dataset_without_them_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("prbench_benchmarks.motion_prediction.windows.native_sources", lambda *_: [_Source()])
     with pytest.raises(InputFileError, match="published"):
@@ -231,7 +252,7 @@ class _Source:
 
 
 def test_segments_shorter_than_a_window_make_no_table(tmp_path):
-    write(still_life(), tmp_path / "mogaze")
+    write(swaying(), tmp_path / "mogaze")
     with pytest.raises(TableError, match="0 windows"):
         build_windows(plan_windows("mogaze", tmp_path / "mogaze"), tmp_path / "windows")
     assert not (tmp_path / "windows").exists()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.geometry.skeleton import head_forward
-from prbench.readers.mogaze.format import Segment
+from prbench.readers.mogaze.format import STATE_COLUMNS, MogazeReadings, Segment
 from prbench.readers.mogaze.synthetic import write as write_mogaze
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
@@ -21,13 +21,24 @@ from tests.shared import made_once
 RULES = load_prediction_protocol().windows
 
 
+def swaying() -> MogazeReadings:
+    """A person who stands as people do: nothing of them is at rest to the last digit, and they look about."""
+    readings = still_life()
+    sway = 0.004 * np.sin(np.arange(N) / 40)
+    readings.state[:, STATE_COLUMNS.index("baseTransX")] += sway
+    readings.gaze_points[:, 0] = 200 * np.sin(np.arange(N) / 30)
+    (goggles,) = (body for body in readings.bodies if body.body_id == GOGGLES)
+    goggles.position[:, 0] += sway
+    return readings
+
+
 def mogaze() -> Path:
     """Native files of MoGaze, made once a run: three recordings, each one segment of 120 frames at 30 a second."""
 
     def make(folder: Path) -> None:
         for name in ("p1_1", "p7_1", "p7_2"):
             segments = (Segment(0, N, "null"),)
-            write_mogaze(replace(still_life(), recording_id=name, participant_id=name[:2], segments=segments), folder)
+            write_mogaze(replace(swaying(), recording_id=name, participant_id=name[:2], segments=segments), folder)
         names = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}
         bodies = "".join(f'<body id="{key}" name="{name}"/>' for key, name in names.items())
         (folder / "scene.xml").write_text(f"<scene>{bodies}</scene>")
