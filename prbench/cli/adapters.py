@@ -103,8 +103,8 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
 _EXAMPLE = "prbench adapters new glide --condition goal-loc"
 _GIVEN = f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose)"
 _SOURCES = ("joints22", "hml263", "smplx", "program")
-_FROM = "Write the block of docs/wrapping.md for a model that puts out 22 joints, 263 features or SMPL-X parameters, with"
-_FROM += " made-up weights; or a program of its own instead of a package, one plain Python file and a TOML file."
+_FROM = "Write the block of docs/wrapping.md for a model of 22 joints, 263 features or SMPL-X parameters, with made-up"
+_FROM += " weights; or a program of its own instead of a package: one plain Python file and a TOML file."
 _CONDITION = {"type": click.Choice(opt.ALL_CONDITIONS), "metavar": "CONDITION", "multiple": True}
 
 
