@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.commands import Answer, Group, command, progress
+from prbench.cli.commands import Answer, Group, command, note, progress
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
+from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark, find_benchmark
 from prbench.shown import clean
 
@@ -101,6 +102,9 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
 
 _EXAMPLE = "prbench adapters new glide --condition goal-loc"
 _GIVEN = f"What the method is given: {opt.conditions_by_benchmark()} (default goal-loc; of motion-prediction pose)"
+_SOURCES = ("joints22", "hml263", "smplx", "program")
+_FROM = "Write the block of docs/wrapping.md for a model of 22 joints, 263 features or SMPL-X parameters, with made-up"
+_FROM += " weights; or a program of its own instead of a package: one plain Python file and a TOML file."
 _CONDITION = {"type": click.Choice(opt.ALL_CONDITIONS), "metavar": "CONDITION", "multiple": True}
 
 
@@ -109,15 +113,22 @@ _CONDITION = {"type": click.Choice(opt.ALL_CONDITIONS), "metavar": "CONDITION", 
 @opt.out_folder_option("New folder (default: ./prbench-NAME, or ./NAME for a program).")
 @click.option("--condition", "conditions", **_CONDITION, help=f"{_GIVEN}; repeatable.")
 @opt.flag("--trainable", "Write fit(), too: a method that learns from a table.")
-@opt.flag("--program", "Write a program of its own instead of a package: one plain Python file and a TOML file.")
+@click.option("--from", "source", type=click.Choice(_SOURCES), help=_FROM)
+@click.option("--program", is_flag=True, hidden=True)
 @opt.benchmark_option
-def new(*, benchmark: str | None, **given: Any) -> Answer:
+def new(*, benchmark: str | None, program: bool, source: str | None, **given: Any) -> Answer:
     """Write a complete package with a new method that works at once, for you to change.
 
     NAME is that of the method, such as glide: what --method will be given.
     """
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 
+    if program:
+        note("--program goes in prbench 0.13.0; use --from program.")
+        if source not in (None, "program"):
+            raise UsageError(f"--program --from {source}: expected one of them.")
+        source = "program"
+    given["source"] = source
     return scaffold_answer(new_adapter(ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)))
 
 

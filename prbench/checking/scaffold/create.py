@@ -36,6 +36,13 @@ _MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a pro
 _PACKAGE = "prbench.checking.scaffold.templates"
 _MARK = re.compile(r"<<(\w+)>>")
 _PREDICTION = "motion-prediction"
+PROGRAM = "program"
+# By what a model puts out, whose block of docs/wrapping.md is written: how to give the new package its made-up weights.
+MADE_UP_WEIGHTS = {
+    "joints22": "--weights weights/model.pt",
+    "hml263": "--weights weights",
+    "smplx": "--weights weights --option smplx_model=weights/SMPLX_NEUTRAL.npz",
+}
 # Condition of a new method for which none is chosen, by benchmark
 _USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, _PREDICTION: "pose"}
 _ROW_FIELDS = {
@@ -145,7 +152,8 @@ class ScaffoldRequest:
         name: Name of the method.
         conditions: Conditions that it takes; none for the benchmark's usual one.
         out: The new folder; None for one in the current folder, named after the package or the program.
-        program: A program of its own instead of an installable package.
+        source: What it is made from: an output of :data:`MADE_UP_WEIGHTS`, or :data:`PROGRAM` for a program of its own
+            instead of an installable package; None for a package that needs no weights.
         benchmark: The benchmark that it is a method of: the default one, or motion-prediction.
     """
 
@@ -153,7 +161,7 @@ class ScaffoldRequest:
     conditions: tuple[str, ...] = ()
     out: Path | None = None
     trainable: bool = False
-    program: bool = False
+    source: str | None = None
     benchmark: str = default_benchmark().name
 
     def __post_init__(self) -> None:
@@ -164,11 +172,24 @@ class ScaffoldRequest:
         if unknown := [name for name in self.conditions if name not in conditions]:
             known = ", ".join(conditions)
             raise UsageError(f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {known}.")
-        if self.program and self.trainable:
-            remedy = "Train it yourself and give it the result with --weights, or write a package."
-            raise UsageError(f"--trainable --program: a program is not fitted by a run. {remedy}")
+        if self.source and self.trainable:
+            kind = "a program" if self.program else "a model that brings its weights"
+            remedy = "Train it yourself and give it the result with --weights, or leave one of the options away."
+            raise UsageError(f"--trainable --from {self.source}: {kind} is not fitted by a run. {remedy}")
         if not self.conditions:
             object.__setattr__(self, "conditions", (_USUAL[self.benchmark],))
+        if self.source in MADE_UP_WEIGHTS and self.benchmark == _PREDICTION:
+            known = f"expected {PROGRAM}, or no --from, for the benchmark {_PREDICTION}"
+            raise UsageError(f"--from {self.source}: {known}.")
+        if self.source in MADE_UP_WEIGHTS and (len(self.chosen) > 1 or Condition.NONE in self.chosen):
+            expected = f"expected one --condition, {Condition.TEXT}, {Condition.GOAL_LOCATION} or {Condition.GOAL_POSE}"
+            remedy = "Take one, and add others in `generate` of the new adapter.py."
+            raise UsageError(f"--from {self.source}: {expected}, found {', '.join(self.chosen)}. {remedy}")
+
+    @property
+    def program(self) -> bool:
+        """Whether it becomes a program of its own."""
+        return self.source == PROGRAM
 
     @property
     def chosen(self) -> list[StrEnum]:
@@ -257,6 +278,9 @@ def command_lines(names: MethodNames, request: ScaffoldRequest) -> dict[str, str
     }
     if request.program:
         lines = {"pip install numpy pyarrow": "for the `python` that runs the program"}
+    if request.source in MADE_UP_WEIGHTS:
+        lines["python make_weights.py weights"] = "made-up weights, until yours are there"
+        method = f"{method} {MADE_UP_WEIGHTS[request.source]}"
     if request.benchmark != _PREDICTION:
         return lines | {
             f"prbench adapters check {method}": "the contract, with a report to read",
@@ -274,9 +298,11 @@ def template_flags(request: ScaffoldRequest) -> frozenset[str]:
     """Return the names of the templates' optional parts that are kept.
 
     ``goal`` and ``free`` tell whether the method takes conditions with a first pose and a goal, and without; ``gaze``
-    whether a predictor takes gaze.
+    whether a predictor takes gaze; ``made_up`` whether there are made-up weights.
     """
     flags = {"trainable"} if request.trainable else set()
+    if request.source in MADE_UP_WEIGHTS:
+        flags |= {"made_up", request.source}
     if request.benchmark == _PREDICTION:
         return frozenset(flags | ({"gaze"} if set(request.conditions) - {"pose"} else set()))
     givens = [GIVEN[Condition(name)] for name in request.conditions]
@@ -305,6 +331,9 @@ def template_values(names: MethodNames, request: ScaffoldRequest) -> dict[str, s
         "distribution": names.distribution,
         "module": names.module,
         "class": names.class_name,
+        "model": f"{names.module}.model",
+        "goal": "goal_joints" if first == Condition.GOAL_POSE else "goal_location",
+        "goal_shape": "(22, 3)" if first == Condition.GOAL_POSE else "(3,)",
         "program": names.program,
         "prbench_version": prbench.__version__.partition("+")[0],
         "condition": first,
@@ -343,6 +372,16 @@ def _contents(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
             "README.md": f"{own}program_README.md",
             f"{names.program}.py": f"{own}program.py",
             f"{names.program}.toml": "method.toml",
+        }
+    elif request.source is not None:
+        del templates["tests/test_method.py"]
+        templates |= {
+            "README.md": "from_README.md",
+            "make_weights.py": "from_make_weights.py",
+            f"{source}/{method}": f"from_{request.source}.py",
+            f"{source}/model.py": "from_model.py",
+            f"{source}/standing.py": "standing.py",
+            "tests/test_conformance.py": "from_test_conformance.py",
         }
     elif "free" in flags:
         templates[f"{source}/standing.py"] = "standing.py"

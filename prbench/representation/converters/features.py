@@ -46,8 +46,9 @@ _ENOUGH = 4  # motions whose majority is believed; of fewer each needs a second 
 _OTHER_STATISTICS = (
     "The features were never restored, or with the statistics of another model: take the Mean.npy and Std.npy that this"
     " one was trained with (those of text-to-motion evaluators have root and contacts about 25 times smaller). If the"
-    " first three columns are absolute, say root='absolute'. If the model itself makes such features (it is hardly"
-    " trained, or has random weights), say check=False."
+    " first three columns are absolute, say root='absolute'. If the statistics are right and the model makes such"
+    " features (it is hardly trained, or has random weights), go on with motions_from_features(..., check=False), or"
+    " likewise joints_from_features: it converts them as they are, and leaves out this check alone."
 )
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import itertools
 import keyword
 import os
+import pickle
+import runpy
 import shutil
 import subprocess
 import sys
@@ -13,13 +16,22 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import torch
 
-from prbench.checking.conformance import Outcome
+from prbench.checking.conformance import CheckRequest, Outcome
 from prbench.checking.conformance.findings import examine
 from prbench.checking.conformance.session import judge_of
 from prbench.checking.scaffold import ScaffoldRequest, new_adapter
-from prbench.checking.scaffold.create import filled, method_names, template_flags, template_values
+from prbench.checking.scaffold.create import (
+    MADE_UP_WEIGHTS,
+    PROGRAM,
+    filled,
+    method_names,
+    template_flags,
+    template_values,
+)
 from prbench.cli import main
+from prbench.cli.adapters import _SOURCES
 from prbench.errors import StorageError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
@@ -35,6 +47,7 @@ CHOICES = [
     for kind in ("package", "trainable", "program")
 ]
 
+WRAPPED = ("goal-loc", "goal-pose", "text")
 PREDICTED = (("pose",), ("pose+gaze", "pose+head"))
 
 
@@ -43,8 +56,13 @@ def all_kinds(tmp_path_factory) -> Path:
     """A folder of every kind of package and program."""
     root = tmp_path_factory.mktemp("kinds")
     for number, (conditions, kind) in enumerate(CHOICES):
-        trainable, program = kind == "trainable", kind == "program"
-        new_adapter(ScaffoldRequest(f"made-{number}", conditions, root / f"{kind}{number}", trainable, program))
+        source = "program" if kind == "program" else None
+        new_adapter(
+            ScaffoldRequest(f"made-{number}", conditions, root / f"{kind}{number}", kind == "trainable", source)
+        )
+    for source in MADE_UP_WEIGHTS:
+        for condition in WRAPPED:
+            new_adapter(ScaffoldRequest("wrapped", (condition,), root / f"{source}-{condition}", source=source))
     for conditions in PREDICTED:
         for kind in ("package", "trainable", "program"):
             _predictor(root / f"{kind}-of-{'-'.join(conditions)}", conditions, kind)
@@ -52,7 +70,7 @@ def all_kinds(tmp_path_factory) -> Path:
 
 
 def _predictor(folder: Path, conditions: tuple[str, ...], kind: str) -> Path:
-    chosen = {"trainable": kind == "trainable", "program": kind == "program"}
+    chosen = {"trainable": kind == "trainable", "source": "program" if kind == "program" else None}
     request = ScaffoldRequest("glance", conditions, folder, **chosen, benchmark="motion-prediction")
     return new_adapter(request).folder
 
@@ -69,7 +87,7 @@ def test_no_template_leaves_a_mark_and_all_python_parses(all_kinds):
             assert "<<" not in text, path
             assert "\n%" not in text, path
             if path.suffix == ".py":
-                version = (3, 8) if path.parent.parent == all_kinds else None
+                version = (3, 8) if path.parent.parent == all_kinds and path.name != "make_weights.py" else None
                 ast.parse(text, feature_version=version)
             if path.suffix == ".toml":
                 tomllib.loads(text)
@@ -129,7 +147,8 @@ def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
     data = fake_dataset(tmp_path / "table", 12).folder
     assert (
-        main(["adapters", "new", "slider", "--program", "--condition", "text", "--out", str(tmp_path / "slider")]) == 0
+        main(["adapters", "new", "slider", "--from", "program", "--condition", "text", "--out", f"{tmp_path}/slider"])
+        == 0
     )
     toml = tmp_path / "slider" / "slider.toml"
     toml.write_text(toml.read_text().replace('"python"', repr(sys.executable)))
@@ -137,6 +156,80 @@ def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
     arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
     assert main(arguments) == 0
     assert f"slider (program {Path(sys.executable).name} slider.py), condition text" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("source", MADE_UP_WEIGHTS)
+@pytest.mark.parametrize(
+    "condition", ["goal-loc", *(pytest.param(each, marks=pytest.mark.slow) for each in ("goal-pose", "text"))]
+)
+def test_a_wrapped_model_keeps_the_contract_on_made_up_weights(all_kinds, tmp_path, monkeypatch, source, condition):
+    folder = all_kinds / f"{source}-{condition}"
+    monkeypatch.syspath_prepend(folder / "src")
+    monkeypatch.setattr(sys, "argv", ["make_weights.py", str(tmp_path / "weights")])
+    _forget("prbench_wrapped")
+    runpy.run_path(str(folder / "make_weights.py"))
+    _, weights, *option = MADE_UP_WEIGHTS[source].split()
+    monkeypatch.chdir(tmp_path)
+    options = dict([option[1].split("=")]) if option else {}
+    request = CheckRequest(str(folder / "src" / "prbench_wrapped" / "adapter.py"))
+    spec = method_spec(request.method, weights=tmp_path / weights, options=options)
+    judge = judge_of("prime-and-reach")
+    quick = [one for one in judge.checks if not one.fresh and one.name not in ("memory", "text")]
+    found = list(examine(judge.subject(spec, request, tmp_path), quick))
+    forget_loaded_methods()
+    _forget("prbench_wrapped")
+    problems = [each for each in found if each.outcome in (Outcome.FAILED, Outcome.WARNING)]
+    # MDM's family makes no more than 196 frames, and says so; what checks shapes in these tests draws from `random`.
+    known = {("lengths", Outcome.WARNING), ("global-random", Outcome.WARNING)}
+    assert {(each.check, each.outcome) for each in problems} <= known, problems
+    assert {each.check for each in found if each.outcome is Outcome.PASSED} >= {"finite", "noise-seed", "bone-lengths"}
+
+
+def _forget(package: str) -> None:
+    """Every new package of these tests has the same name."""
+    for name in [each for each in sys.modules if each.partition(".")[0] == package]:
+        del sys.modules[name]
+
+
+def test_a_checkpoint_that_executes_code_is_not_loaded(all_kinds, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(all_kinds / "joints22-text" / "src")
+    _forget("prbench_wrapped")
+    torch.save({"step": Path("x")}, tmp_path / "model.pt")
+    made = importlib.import_module("prbench_wrapped").load(tmp_path / "model.pt", options={}, device="cpu")
+    with pytest.raises(pickle.UnpicklingError, match="Weights only load failed"):
+        _ = made.network
+    _forget("prbench_wrapped")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        (
+            {"conditions": ("text", "goal-loc")},
+            "--from hml263: expected one --condition, .* found text, goal-loc",
+        ),
+        ({"conditions": ("none",)}, "expected one --condition, text, goal-loc or goal-pose, found none"),
+        ({"trainable": True}, "--trainable --from hml263: a model that brings its weights is not fitted by a run"),
+        ({"benchmark": "motion-prediction"}, "--from hml263: expected program, or no --from, for the benchmark"),
+    ],
+)
+def test_what_a_wrapped_model_cannot_be_is_refused(tmp_path, wanted, message):
+    with pytest.raises(UsageError, match=message):
+        new_adapter(ScaffoldRequest("glide", **{"out": tmp_path / "new", "source": "hml263", **wanted}))
+
+
+def test_program_is_the_older_spelling_of_from_program(tmp_path, capsys):
+    for number, words in enumerate((["--program"], ["--from", "program"])):
+        assert main(["adapters", "new", "slider", *words, "--out", str(tmp_path / str(number))]) == 0
+    assert "--program goes in prbench 0.13.0; use --from program." in capsys.readouterr().err
+    old, new = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in "01")
+    assert old == new
+    assert main(["adapters", "new", "slider", "--program", "--from", "smplx", "--out", str(tmp_path / "2")]) == 2
+    assert "--program --from smplx: expected one of them" in capsys.readouterr().err
+
+
+def test_the_command_line_offers_what_can_be_written():
+    assert (*MADE_UP_WEIGHTS, PROGRAM) == _SOURCES
 
 
 @pytest.mark.parametrize("kind", ["package", "trainable"])
@@ -188,9 +281,9 @@ def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "prbench-glide" / "src" / "prbench_glide" / "standing.py").is_file()
 
 
-@pytest.mark.parametrize("program", [False, True])
-def test_the_readme_shows_the_same_commands(tmp_path, program):
-    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "glide", program=program))
+@pytest.mark.parametrize("source", [None, "program", *MADE_UP_WEIGHTS])
+def test_the_readme_shows_the_same_commands(tmp_path, source):
+    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "glide", source=source))
     readme = (report.folder / "README.md").read_text()
     for step in report.next_steps[1:]:
         assert step in readme
@@ -239,7 +332,7 @@ def test_an_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
 
 def test_a_program_is_not_fitted_by_a_run(tmp_path):
     with pytest.raises(UsageError, match="a program is not fitted by a run"):
-        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out", trainable=True, program=True))
+        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out", trainable=True, source="program"))
 
 
 def test_every_other_name_follows_from_the_methods():

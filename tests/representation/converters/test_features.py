@@ -171,6 +171,17 @@ def test_few_motions_whose_steps_alone_disagree_are_kept(count) -> None:
     assert len(motions_from_features([unlike(WALKING, times=0.3)] * count, [50] * count, source="glide")) == count
 
 
+@pytest.mark.parametrize(
+    "convert", [joints_from_features, lambda one, **given: motions_from_features([one], [50], **given)]
+)
+def test_one_motion_whose_steps_differ_by_more_than_ten_says_how_to_go_on(convert) -> None:
+    alone = unlike(WALKING, times=12.0)[:50]
+    going_on = r"columns 1 and 2: .* go on with motions_from_features\(\.\.\., check=False\)"
+    with pytest.raises(InputFileError, match=going_on):
+        convert(alone)
+    assert np.isfinite(convert(alone, check=False)).all()
+
+
 def test_a_batch_whose_steps_disagree_is_refused_with_the_way_on() -> None:
     batch = [unlike(WALKING, times=4.0)] * 9 + [WALKING] * 7
     with pytest.raises(InputFileError, match=r"glide, row 0 \(sequence a\), columns 1 and 2: .*check=False") as refused:

@@ -12,6 +12,14 @@ import pytest
 import torch
 
 from prbench.checking.doctor import Expected, diagnose
+from prbench.checking.scaffold.create import (
+    MADE_UP_WEIGHTS,
+    ScaffoldRequest,
+    filled,
+    method_names,
+    read_template,
+    template_values,
+)
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
@@ -50,11 +58,30 @@ def block(heading: str, language: str = "python") -> str:
 def load(heading: str, model: object, monkeypatch, **settings) -> Adapter:
     """The adapter of a section, with an invented model under the name that the guide imports."""
     module = types.ModuleType("glide_model")
-    setattr(module, type(model).__name__, lambda folder, device: model)
+    setattr(module, type(model).__name__, lambda *placed: model)
     monkeypatch.setitem(sys.modules, "glide_model", module)
     names: dict = {"__name__": "guide"}
     exec(compile(block(heading), "docs/wrapping.md", "exec"), names)
-    return names["load"](settings.get("weights"), options=settings.get("options", {}), device="cpu")
+    weights = settings.get("weights")
+    if weights is not None:
+        torch.save({}, weights / "model.pt")
+    return names["load"](weights, options=settings.get("options", {}), device="cpu")
+
+
+# By what a model puts out: the section of the guide whose block `prbench adapters new --from` writes, and its names.
+WRITTEN = {
+    "joints22": ("A model with 22 joints", {"name": "mine", "class": "Mine", "model": "my_model"}),
+    "hml263": ("1. HumanML3D features", {"name": "glide", "class": "Glide", "model": "glide_model"}),
+    "smplx": ("2. SMPL parameters", {"name": "glide", "class": "Glide", "model": "glide_model"}),
+}
+
+
+@pytest.mark.parametrize("source", MADE_UP_WEIGHTS)
+def test_a_new_package_holds_the_block_that_the_guide_explains(source) -> None:
+    heading, names = WRITTEN[source]
+    values = template_values(method_names("glide"), ScaffoldRequest("glide", source=source))
+    template = read_template(f"from_{source}.py")
+    assert filled(template, {**values, **names}, {"goal"}) == block(heading)
 
 
 def batch_of(motions: list[np.ndarray]) -> ConditionBatch:
@@ -103,31 +130,32 @@ def test_a_network_of_ones_own_is_checked_and_run(tmp_path, monkeypatch, capsys)
     table = fake_dataset(tmp_path / "table", 24)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    method = ["./mine.py:Mine", "--weights", "mine.pt"]
+    method = ["./mine.py", "--weights", "mine.pt"]
     assert main(["adapters", "check", *method]) == 0
     assert "failed" not in capsys.readouterr().out.replace("0 failed", "")
     run = ["run", "--method", *method, "--condition", "goal-loc", "--data", str(table.folder), "--out", "run"]
     assert main(run) == 0
     assert "mine (package mine.py" in capsys.readouterr().out
     assert RunRecord.read(tmp_path / "run").method.weights_digest == file_digest(tmp_path / "mine.pt")
-    assert main(["adapters", "check", "./mine.py:Mine"]) == 5
+    assert main(["adapters", "check", "./mine.py"]) == 5
     assert "mine needs --weights FILE and has no options" in capsys.readouterr().out
 
 
-class FeatureModel:
+class FeatureModel(torch.nn.Module):
     """Knows the motions on HumanML3D's skeleton, as standardised features in MDM's layout."""
 
     def __init__(self, motions, mean, std) -> None:
+        super().__init__()
         self.motions, self.mean, self.std, self.goals = motions, mean, std, None
 
-    def sample(self, text, goals, n_frames, seeds) -> np.ndarray:
-        self.goals = goals
-        output = np.full((len(text), 263, 1, int(n_frames.max())), 9.9, dtype=np.float32)
+    def sample(self, text, goals, n_frames, rows) -> torch.Tensor:
+        self.goals = goals.numpy()
+        output = np.full((len(text), 263, 1, rows), 9.9, dtype=np.float32)
         for row, name in enumerate(text):
             own = canonicalise(retarget(self.motions[int(name)]))
             features = (encode(own, next_joints=own[-1]) - self.mean) / self.std
             output[row, :, 0, : n_frames[row]] = features.T
-        return output
+        return torch.from_numpy(output)
 
 
 def test_situation_1_features(tmp_path, monkeypatch) -> None:
@@ -148,27 +176,24 @@ def test_situation_1_features(tmp_path, monkeypatch) -> None:
 BETAS = np.linspace(-1, 1, 10)
 
 
-class SmplxParameterModel:
+class SmplxParameterModel(torch.nn.Module):
     """Knows rotations at 30 fps; its world has Z up, and every sample stands and faces elsewhere."""
 
     def __init__(self, rotations, pelvis, rest) -> None:
-        self.rotations, self.pelvis, self.rest, self.goals = rotations, pelvis, rest, None
+        super().__init__()
+        self.rotations, self.pelvis, self.rest, self.goals = rotations, pelvis, rest, []
 
-    def sample(self, text, goals, n_frames, seeds) -> list[dict]:
-        self.goals = goals
-        samples = []
-        for row, name in enumerate(text):
-            first = 60 * int(name)
-            part = slice(first, first + int(n_frames[row]))
-            world = self.rotations[part].copy()
-            turn = _z_up_and_turned(0.9)
-            world[:, 0] = turn @ world[:, 0]
-            numbers = written(world, "6d-rows").reshape(len(world), 22, 6)
-            transl = self.pelvis[part] @ turn.T + np.array([4.0, -2.0, 0.3]) - self.rest
-            samples.append(
-                {"global_orient": numbers[:, 0], "body_pose": numbers[:, 1:], "transl": transl, "betas": BETAS}
-            )
-        return samples
+    def sample(self, text, goal, n_frames) -> dict[str, torch.Tensor]:
+        self.goals.append(goal.numpy())
+        first = 60 * int(text)
+        part = slice(first, first + n_frames)
+        world = self.rotations[part].copy()
+        turn = _z_up_and_turned(0.9)
+        world[:, 0] = turn @ world[:, 0]
+        numbers = written(world, "6d-rows").reshape(len(world), 22, 6)
+        transl = self.pelvis[part] @ turn.T + np.array([4.0, -2.0, 0.3]) - self.rest
+        arrays = {"global_orient": numbers[:, 0], "body_pose": numbers[:, 1:], "transl": transl, "betas": BETAS}
+        return {name: torch.from_numpy(values) for name, values in arrays.items()}
 
 
 def _z_up_and_turned(yaw: float) -> np.ndarray:
@@ -275,7 +300,8 @@ def test_the_doctor_and_the_converter_name_each_mistake(mistake) -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "message"), [("1. HumanML3D", "needs --weights DIR"), ("2. SMPL", "needs --weights DIR and --option")]
+    ("heading", "message"),
+    [("1. HumanML3D", "needs --weights DIR"), ("2. SMPL", r"needs --weights DIR \(model.pt\) and --option")],
 )
 def test_what_an_adapter_needs_it_says(heading, message, monkeypatch) -> None:
     with pytest.raises(ValueError, match=message):
