@@ -27,6 +27,9 @@ WEIGHTS = {
     "cvae-small": ("cvae", Condition.POSE),
     "dlow-small": ("dlow", Condition.POSE),
     "belfusion-small": ("belfusion", Condition.POSE),
+    "humanmac-small-pose-gaze": ("humanmac", Condition.POSE_GAZE),
+    "belfusion-small-pose-gaze": ("belfusion", Condition.POSE_GAZE),
+    "gazemotion-small": ("gazemotion", Condition.POSE_GAZE),
 }
 LARGEST = 1_000_000  # bytes
 HELD_OUT = (1, 4, 8)  # recordings of size tiny in ADT's layout that are in the test split of seed 0
