@@ -132,8 +132,8 @@ def open_table(table: Table | Path | str) -> Table:
     return CorpusTable.open(folder) if (folder / CORPUS_FILE).is_file() else SequenceTable.open(folder).with_sequences()
 
 
-def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
-    """Yield the rows of a split in the order of the table, some hundred at a time."""
+def read_rows(table: Table, split: str | None) -> Iterator[list[Row]]:
+    """Yield the rows of a split, or of all, in the order of the table, some hundred at a time."""
     corpus = isinstance(table, CorpusTable)
     own = ("captions",) if corpus else ("text", "goal_location")
     for chunk in table.chunks(split=split, columns=[*own, "joints", "previous_joints", "next_joints"]):

@@ -10,12 +10,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from jaxtyping import Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import first_repeated, read_parquet
 from prbench.files.bounded import foreign_input, read_text, require, require_rows
-from prbench.files.storage import file_digest, sole_writer, text_digest, write_bytes
+from prbench.files.storage import atomic_path, file_digest, sole_writer, text_digest, write_bytes
 
 _COLUMNS = pa.schema({"motion_id": pa.string(), "tokens": pa.list_(pa.int32()), "text": pa.list_(pa.string())})
 _SPLITS = {"train", "validation", "test"}
@@ -83,6 +84,14 @@ class TokensRow:
     tokens: Int[np.ndarray, " tokens"]
     text: tuple[str, ...]
     split: str
+
+
+def write_tokens(path: Path, rows: Sequence[TokensRow], *, codes: int, **about: str) -> None:
+    """Write motions as tokens, whole or not at all, with these metadata; equal rows give equal bytes."""
+    schema = _COLUMNS.append(pa.field("split", pa.string())).with_metadata({"codes": str(codes), **about})
+    columns = {name: [getattr(row, name) for row in rows] for name in schema.names}
+    with sole_writer(path), atomic_path(path) as temporary:
+        pq.write_table(pa.table(columns, schema=schema), temporary, compression="zstd", compression_level=1)
 
 
 @dataclass(frozen=True)

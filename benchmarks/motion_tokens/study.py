@@ -96,13 +96,18 @@ def reconstruct(
     return made.cpu().numpy(), quantised.tokens.cpu().numpy()
 
 
+def require_rate(tokeniser: Tokeniser, folder: Path, fps: float) -> None:
+    """Raise a TableError if a table is of another frame rate than the tokeniser."""
+    if fps != tokeniser.configuration.fps:
+        expected = f"{tokeniser.configuration.fps:g} frames per second, as the tokeniser was trained"
+        raise TableError(f"{folder}: expected {expected}, found {fps:g}. Build it again with --fps.")
+
+
 def _measured(tokeniser: Tokeniser, folder: Path, *, origin: str) -> Row:
     """Return the row of one tokeniser on one table."""
     sizes = tokeniser.configuration
     data = SequenceDataset([folder], split="test", max_frames=_LONGEST, mode=sizes.representation)
-    if data.fps != sizes.fps:
-        problem = f"expected {sizes.fps:g} frames per second, as the tokeniser was trained, found {data.fps:g}."
-        raise TableError(f"{folder}: {problem}")
+    require_rate(tokeniser, folder, data.fps)
     sums = []
     counts = np.zeros((sizes.parts, sizes.codes))
     for place in np.flatnonzero(data.lengths >= FRAMES_OF_TOKEN).tolist():

@@ -146,6 +146,7 @@ def make_inputs(folder: Path, *, heavy: bool = False) -> Path:
         call("build-corpus synthetic --count 4 --out {corpus}")
         call("synthesize nymeria --count 2 --out {nymeria}")
         call("train --method t2m-evaluator --config smoke --set training.steps=2 --data {corpus} --out {evaluator}")
+        call("train --method motion-tokens --config smoke --set training.steps=2 --data {corpus} --out {tokeniser}")
         tokens_file(folder / "tokens.parquet")
         call("train --method tm2t --config smoke --set training.steps=2 --data {tokens}.parquet --out {captioner}")
     fake_dataset(folder / "table", 6)
@@ -218,6 +219,9 @@ WRITING = (
     Writing("build-windows --out", "build-windows adt --root {adt} --out {out}"),
     Writing("build-windows --data", "build-windows --data {table} --out {out}"),
     Writing("build-tracks --out", "build-tracks nymeria --root {nymeria} --devices synthetic --out {out}", heavy=True),
+    Writing(
+        "build-tokens --out", "build-tokens --weights {tokeniser} --data {corpus} --out {out}", "t.parquet", heavy=True
+    ),
     Writing("build-corpus --out", "build-corpus synthetic --count 1 --out {out}"),
     Writing("synthesize --out", "synthesize adt --count 1 --events 2 --out {out}", heavy=True),
     Writing("synthesize --table", "synthesize adt --table --count 1 --events 2 --out {out}"),
