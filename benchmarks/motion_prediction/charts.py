@@ -48,8 +48,8 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> str:
     panels = [panel for panel in panels if panel[0]]
     if not panels:
         raise UsageError(f"{path}: nothing to draw, since no row was measured.")
-    figure = new_figure(3.5 * len(panels), 2.5, layout="constrained")
-    for axes, (lines, title, x_title) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels):
+    figure = new_figure(7.0, 3.2 * len(panels), layout="constrained")
+    for axes, (lines, title, x_title) in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels):
         for number, (label, points) in enumerate(lines.items()):
             places = [at + 0.01 * (number - len(lines) / 2) for at, _ in points]  # so that intervals stand apart
             means = [cell.value for _, cell in points]
@@ -60,7 +60,7 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> str:
                     axes.plot([place, place], [cell.low, cell.high], color=line.get_color(), linewidth=0.7)
         axes.set_title(title)
         axes.set_xlabel(x_title)
-        axes.legend(fontsize=6)
+        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))  # beside the lines, of which there are many
         if lines is values:
             axes.axhline(0.0, color="0.6", linewidth=0.9)
             axes.invert_xaxis()
