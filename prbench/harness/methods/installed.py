@@ -49,13 +49,8 @@ METHOD_CONTROLS = (
 # Methods of the default benchmark that come with prbench, installed or not
 BUILT_IN_METHODS = default_benchmark().methods
 
-_WORDS = (
-    "all",
-    "prbench",
-    "shuffled",
-    "t2m-evaluator",
-    "motion-tokens",
-)  # words that mean something else in commands and tables
+# Words that mean something else in commands and tables.
+_WORDS = ("all", "prbench", "shuffled", "t2m-evaluator", "motion-tokens", "tm2t")
 _LONGEST = 100
 _FORM = re.compile(r"[A-Za-z0-9]([A-Za-z0-9 ._+()-]*[A-Za-z0-9.+)])?")
 # Form of a name, in words. Other alphabets hold letters that look like these and are not.
