@@ -50,9 +50,7 @@ _TITLES = {
     is_flag=True,
     help="R@1, R@5, R@10 and median rank among 32 and among all, from texts and from motions: slow for huge splits.",
 )
-@opt.path_option(
-    "--nearest", "Name recorded clips nearest to each motion of a run, in place of metrics.", metavar="RUN"
-)
+@opt.path_option("--nearest", "In place of metrics, name the clips nearest to each motion of a run.", metavar="RUN")
 @opt.number_option("--limit", "With --nearest: motions of each dataset at most (default all).")
 @opt.number_option("--neighbours", "With --nearest: clips named for each motion (default 3).", default=3)
 @opt.number_option("--diversity-pairs", "Pairs of motions behind the diversity (default 300).", default=300)

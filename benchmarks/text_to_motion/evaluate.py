@@ -250,8 +250,7 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     about |= {"representation": configuration.representation, "kinds": tuple(sorted(request.kinds))}
     about |= {"prbench_version": prbench.__version__}
     if request.nearest is not None:
-        found, notes = _nearest(request, RunFolder.open(request.nearest), evaluator, read.clips)
-        return TextEvaluation(**about, rows=(), nearest=tuple(found), notes=notes)
+        return TextEvaluation(**about, rows=(), **_nearest(request, request.nearest, evaluator, read.clips))
     adapter = None
     supported = read.clips
     if request.method is not None:
@@ -321,15 +320,14 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
     return tuple(notes)
 
 
-def _nearest(
-    request: TextEvaluationRequest, run: RunFolder, evaluator: Extractor, clips: Sequence[Row]
-) -> tuple[list[NearMotion], tuple[str, ...]]:
-    """Find the clips nearest to each motion of a run; what is too long for the evaluator is represented by its end."""
+def _nearest(request: TextEvaluationRequest, path: Path, evaluator: Extractor, clips: Sequence[Row]) -> dict[str, Any]:
+    """Return the clips ``nearest`` to each motion of a run, and ``notes``; of what is too long, the end is compared."""
+    run = RunFolder.open(path)
     configuration = evaluator.configuration
     fps = (run.protocol or load_protocol()).fps
     if fps != configuration.fps:
-        problem = f"expected motions of {configuration.fps:g} frames per second, as the evaluator was trained"
-        raise RunError(f"{run.path}: {problem}, found {fps:g}.")
+        expected = f"motions of {configuration.fps:g} frames per second, as the evaluator was trained"
+        raise RunError(f"{run.path}: expected {expected}, found {fps:g}.")
     motions: dict[tuple[str, int], np.ndarray] = {}
     for table in run.record.tables:
         stored = RunMotions.open(run, table.dataset, label="").predictions
@@ -349,20 +347,19 @@ def _nearest(
         return evaluator.embed_motions(features)
 
     recorded = embedded((clip.sequence_id, clip.motion.joints) for clip in clips)
-    made = embedded((name, joints) for (name, _), joints in motions.items())
     near = []
-    for (name, sample), embedding in zip(motions, made):
+    for (name, sample), embedding in zip(motions, embedded((key[0], motion) for key, motion in motions.items())):
         distances = cdist(embedding[None], recorded)[0]  # float64
         for rank, place in enumerate(np.argsort(distances, kind="stable")[: request.neighbours], start=1):
             about = {"clip": clips[place].sequence_id, "distance": float(distances[place]), "texts": clips[place].texts}
             near.append(NearMotion(sequence_id=name, sample=sample, rank=rank, **about))
-    most = configuration.max_frames
-    longer = sum(len(joints) > most for joints in motions.values())
-    return near, (
-        f"motions of {run.record.method.name} in {run.path}: {len(motions)}, of which {longer} are longer than"
-        f" the {most} frames that the evaluator reads; of these, as of longer clips, the end is compared.",
+    longer = sum(len(joints) > configuration.max_frames for joints in motions.values())
+    notes = (
+        f"{run.path}: {len(motions)} motions of {run.record.method.name}, {longer} of them longer than the"
+        f" {configuration.max_frames} frames that the evaluator reads; of these, as of longer clips, the end counts.",
         "distances compare within one evaluator only; the nearest clip may still be far.",
     )
+    return {"nearest": tuple(near), "notes": notes}
 
 
 def generated_features(

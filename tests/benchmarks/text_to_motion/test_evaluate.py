@@ -198,7 +198,7 @@ def test_the_clips_nearest_to_the_ends_of_a_runs_motions_are_named_in_order(requ
         np.testing.assert_allclose([one.distance for one in each], np.sort(expected), atol=1e-5)
         np.testing.assert_allclose(expected[[int(one.clip[-3:]) for one in each]], np.sort(expected), atol=1e-5)
     assert [(one.clip, one.texts) for one in near[2]] == [(one.clip, one.texts) for one in near[3]]
-    assert "4, of which 1 are longer than the 60 frames" in result.notes[0]
+    assert "4 motions of static, 1 of them longer than the 60 frames" in result.notes[0]
     few = evaluate_text(request_for(nearest=run, limit=2))
     assert [one.sequence_id for one in few.nearest] == [ids[0]] * 3 + [ids[1]] * 3
 
