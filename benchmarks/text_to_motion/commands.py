@@ -50,6 +50,9 @@ _TITLES = {
     is_flag=True,
     help="R@1, R@5, R@10 and median rank among 32 and among all, from texts and from motions: slow for huge splits.",
 )
+@opt.path_option("--nearest", "In place of metrics, name the clips nearest to each motion of a run.", metavar="RUN")
+@opt.number_option("--limit", "With --nearest: motions of each dataset at most (default all).")
+@opt.number_option("--neighbours", "With --nearest: clips named for each motion (default 3).", default=3)
 @opt.number_option("--diversity-pairs", "Pairs of motions behind the diversity (default 300).", default=300)
 @click.option("--words", type=opt.PATH, metavar="DIR", help="Word vectors and lists of a GloVe evaluator.")
 @click.option("--text-path", metavar="DIR|ID", help="DistilBERT's files, if the evaluator reads with it.")
@@ -64,6 +67,10 @@ def evaluate_text(out: Path, kinds: tuple[str, ...], **given) -> Answer:
     for option, name in (("weights",) * 2, ("option", "options"), ("multimodality",) * 2):
         if given[name] and not given["method"]:
             raise UsageError(f"--{option} belongs to a method; name one with --method.")
+    if given["nearest"] and (given["method"] or given["retrieval"]):
+        raise UsageError("--nearest takes the place of metrics: leave --method and --retrieval away.")
+    if given["limit"] and not given["nearest"]:
+        raise UsageError("--limit belongs to the motions of a run; name one with --nearest.")
     request = evaluate.TextEvaluationRequest(kinds=frozenset(kinds), **given)
     with progress("evaluating") as show:
         evaluation = evaluate.evaluate_text(request, show)
@@ -74,6 +81,14 @@ def evaluate_text(out: Path, kinds: tuple[str, ...], **given) -> Answer:
 
 
 def _print(report: TextEvaluation, out: Path) -> None:
+    if report.nearest:
+        near = [
+            (one.sequence_id, *map(str, (one.sample, one.rank)), one.clip, f"{one.distance:.4g}", " | ".join(one.texts))
+            for one in report.nearest
+        ]
+        title = f"nearest of {report.clips} clips of {report.dataset}, split {report.split}, in the evaluator's space"
+        print_table(title, ("sequence", "sample", "rank", "clip", "distance", "texts"), near, numbers=(1, 2, 4))
+        return print(f"written: {out}")
     metrics = [name for name in _TITLES if any(name in row.metrics for row in report.rows)]
     table = [(_TITLES[name], *(_cell(name, row.metrics.get(name)) for row in report.rows)) for name in metrics]
     repetitions = report.rows[0].repetitions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,21 +10,25 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial.distance import cdist
 
 import prbench
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
-from prbench.errors import UsageError
+from prbench.errors import PredictionsError, RunError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.methods.loading import chosen_condition, load_adapter, weights_digest
 from prbench.harness.methods.motions import Declared, generate_checked, native_frames
+from prbench.harness.run_folder import RunFolder
+from prbench.protocol.manifests import load_protocol
 from prbench.randomness import noise_seed
 from prbench.representation import encode
-from prbench_adapters.training.store import Row, open_table
+from prbench.viewing.replay.read import RunMotions
+from prbench_adapters.training.store import Motion, Row, cut, open_table
 from prbench_benchmarks.text_to_motion import clips as clips_of
 from prbench_benchmarks.text_to_motion import metrics
 from prbench_benchmarks.text_to_motion.clips import Draw, Extractor, Pass, draw, recorded_features
-from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
-from prbench_benchmarks.text_to_motion.report import ResultRow, Retrieval, TextEvaluation
+from prbench_benchmarks.text_to_motion.networks import SNIPPET, EvaluatorConfiguration
+from prbench_benchmarks.text_to_motion.report import NearMotion, ResultRow, Retrieval, TextEvaluation
 from prbench_benchmarks.text_to_motion.training import load_evaluator
 
 _REPETITIONS = 20
@@ -50,6 +54,9 @@ class TextEvaluationRequest:
         batch_size: Motions that the method makes at once.
         repetitions: Number of repetitions; by default 20, and 5 with multimodality.
         retrieval: Rank texts and motions among all pairs as well.
+        nearest: Run whose motions' nearest clips are sought in place of the metrics; None for none.
+        limit: Motions of each dataset of that run at most, in the order of their ids; None for all.
+        neighbours: Clips that are named for each motion.
         prompts: Prompts that a method is given in a repetition; fewer if there are fewer.
     """
 
@@ -64,6 +71,9 @@ class TextEvaluationRequest:
     repetitions: int | None = None
     multimodality: bool = False
     retrieval: bool = False
+    nearest: Path | None = None
+    limit: int | None = None
+    neighbours: int = 3
     prompts: int = _PROMPTS
     diversity_pairs: int = metrics.DIVERSITY_PAIRS
     seed: int = 0
@@ -222,6 +232,8 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         TableError: if the table has too few clips.
         InputFileError: if the evaluator's weights are none.
         AdapterError: if the method cannot be loaded, takes no text, or breaks the contract.
+        RunError: if the run of ``nearest`` is none, has no motions, or is of another benchmark or frame rate.
+        PredictionsError: if a motion of that run cannot be read.
     """
     torch.set_num_threads(request.threads)
     tables = [open_table(request.corpus)]
@@ -230,6 +242,15 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
     )
     configuration = evaluator.configuration
     read = clips_of.EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
+    info = read.table.info
+    about: dict[str, Any] = {name: getattr(request, name) for name in ("split", "seed", "diversity_pairs")}
+    about |= {"vectorisation": evaluator.vectorisation, "evaluator_sha256": evaluator.digest}
+    about |= {"dataset": info.dataset, "corpus_content_digest": info.content_digest}
+    about |= {"clips": len(read.clips), "left_out": read.left_out, "distinct_captions": len(read.captions())}
+    about |= {"representation": configuration.representation, "kinds": tuple(sorted(request.kinds))}
+    about |= {"prbench_version": prbench.__version__}
+    if request.nearest is not None:
+        return TextEvaluation(**about, rows=(), **_nearest(request, request.nearest, evaluator, read.clips))
     adapter = None
     supported = read.clips
     if request.method is not None:
@@ -275,21 +296,9 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_
         progress(repetition + 1, request.chosen_repetitions, "repetitions")
     rows = [real.result(REAL), mismatched.result(MISMATCHED)]
     if request.method is not None:
-        about = {"weights_sha256": weights_digest(request.weights), "options": request.options}
-        rows.append(made.result(request.method, unsupported=len(read.clips) - len(supported), **about))
-    info = read.table.info
-    about: dict[str, Any] = {name: getattr(request, name) for name in ("split", "seed", "diversity_pairs")}
-    about |= {"vectorisation": evaluator.vectorisation, "evaluator_sha256": evaluator.digest}
-    about |= {"dataset": info.dataset, "corpus_content_digest": info.content_digest}
-    about |= {"clips": len(read.clips), "left_out": read.left_out, "distinct_captions": len(texts)}
-    return TextEvaluation(
-        **about,
-        representation=configuration.representation,
-        kinds=tuple(sorted(request.kinds)),
-        prbench_version=prbench.__version__,
-        rows=tuple(rows),
-        notes=_notes(rows, request),
-    )
+        given = {"weights_sha256": weights_digest(request.weights), "options": request.options}
+        rows.append(made.result(request.method, unsupported=len(read.clips) - len(supported), **given))
+    return TextEvaluation(**about, rows=tuple(rows), notes=_notes(rows, request))
 
 
 def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[str, ...]:
@@ -309,6 +318,48 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
             notes.append(f"{row.source}: {row.unsupported} clips are longer than the method can generate.")
     notes.append("the evaluator is a network fitted to a training split: real motion is no upper bound.")
     return tuple(notes)
+
+
+def _nearest(request: TextEvaluationRequest, path: Path, evaluator: Extractor, clips: Sequence[Row]) -> dict[str, Any]:
+    """Return the clips ``nearest`` to each motion of a run, and ``notes``; of what is too long, the end is compared."""
+    run = RunFolder.open(path)
+    configuration = evaluator.configuration
+    fps = (run.protocol or load_protocol()).fps
+    if fps != configuration.fps:
+        expected = f"motions of {configuration.fps:g} frames per second, as the evaluator was trained"
+        raise RunError(f"{run.path}: expected {expected}, found {fps:g}.")
+    motions: dict[tuple[str, int], np.ndarray] = {}
+    for table in run.record.tables:
+        stored = RunMotions.open(run, table.dataset, label="").predictions
+        for name, sample in sorted(zip(stored.ids, stored.samples))[: request.limit]:
+            motions[name, sample] = stored.motions([name], sample).values
+
+    def embedded(named: Iterable[tuple[str, np.ndarray]]) -> np.ndarray:
+        features = []
+        for name, joints in named:
+            n_frames = min(len(joints), configuration.max_frames) // SNIPPET * SNIPPET
+            if not n_frames:
+                raise PredictionsError(f"{run.path}, {name}: expected {SNIPPET} frames or more, found {len(joints)}.")
+            # The end: a reach is recognised by where it arrives. Clips are cut alike, so that a copy of one is at 0.
+            whole = Motion(joints, joints[0], joints[-1], np.full(3, np.nan))
+            end = cut(whole, len(joints) - n_frames, n_frames, name=name)
+            features.append(generated_features(end.joints, configuration, name=name))
+        return evaluator.embed_motions(features)
+
+    recorded = embedded((clip.sequence_id, clip.motion.joints) for clip in clips)
+    near = []
+    for (name, sample), embedding in zip(motions, embedded((key[0], motion) for key, motion in motions.items())):
+        distances = cdist(embedding[None], recorded)[0]  # float64
+        for rank, place in enumerate(np.argsort(distances, kind="stable")[: request.neighbours], start=1):
+            about = {"clip": clips[place].sequence_id, "distance": float(distances[place]), "texts": clips[place].texts}
+            near.append(NearMotion(sequence_id=name, sample=sample, rank=rank, **about))
+    longer = sum(len(joints) > configuration.max_frames for joints in motions.values())
+    notes = (
+        f"{run.path}: {len(motions)} motions of {run.record.method.name}, {longer} of them longer than the"
+        f" {configuration.max_frames} frames that the evaluator reads; of these, as of longer clips, the end counts.",
+        "distances compare within one evaluator only; the nearest clip may still be far.",
+    )
+    return {"nearest": tuple(near), "notes": notes}
 
 
 def generated_features(

@@ -11,6 +11,7 @@ from typing import Literal
 
 import msgspec
 
+from prbench.errors import InputFileError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import sole_writer, write_json
 from prbench.metrics import exported_unit
@@ -74,6 +75,26 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     retrieval: tuple[Retrieval, ...] = ()
 
 
+class NearMotion(msgspec.Struct, frozen=True, kw_only=True):
+    """A recorded clip near a generated motion, in the evaluator's space.
+
+    Attributes:
+        sequence_id: Sequence that the motion was generated for.
+        sample: Which of the run's motions for it.
+        rank: 1 for the nearest clip.
+        clip: Id of the clip.
+        distance: Euclidean distance of the embeddings, in units of the evaluator.
+        texts: The clip's captions.
+    """
+
+    sequence_id: str
+    sample: int
+    rank: int
+    clip: str
+    distance: float
+    texts: tuple[str, ...]
+
+
 class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     """The match of motions and texts; rows compare within it, and with those of the same evaluator and settings.
 
@@ -93,7 +114,8 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
         seed: Seed of crops, captions, pairs and noise.
         diversity_pairs: Number of pairs of motions behind the diversity.
         prbench_version: Version that measured.
-        rows: The rows of the table.
+        rows: The rows of the table; none with ``nearest``.
+        nearest: Clips nearest to each motion of a run, where they were asked for.
         notes: What a reader of the numbers has to know.
     """
 
@@ -113,6 +135,7 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     diversity_pairs: int
     prbench_version: str
     rows: tuple[ResultRow, ...]
+    nearest: tuple[NearMotion, ...] = ()
     notes: tuple[str, ...]
 
     def write(self, path: Path) -> None:
@@ -149,11 +172,13 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> Table:
             test set, so there is no difference to them.
 
     Raises:
-        InputFileError: if a file is no evaluation.
+        InputFileError: if a file is no evaluation, or holds nearest motions in place of metrics.
     """
     evaluations = {path: TextEvaluation.read(path) for path in paths}
     blocks = []
     for path, found in evaluations.items():
+        if not found.rows:
+            raise InputFileError(path, "rows", expected="metrics", found="none", remedy="Leave --nearest away.")
         title = (
             f"{path.name}: {found.dataset}, split {found.split}, {found.clips} clips, evaluator"
             f" {found.evaluator_sha256[:8]} ({found.vectorisation})"

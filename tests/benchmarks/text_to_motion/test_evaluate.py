@@ -2,14 +2,22 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from prbench.cli.main import main
 from prbench.contract import Condition, Motions
-from prbench.errors import AdapterError, InputFileError, TableError, UsageError
+from prbench.errors import AdapterError, InputFileError, PredictionsError, RunError, TableError, UsageError
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import PredictionRows, Predictions, RunFolder
+from prbench.harness.run_folder.predictions import write_part
+from prbench.protocol.manifests import load_protocol
 from prbench.representation import encode
 from prbench_benchmarks.text_to_motion import evaluate
 from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
@@ -26,7 +34,7 @@ from prbench_benchmarks.text_to_motion.training import load_evaluator
 from tests.benchmarks.text_to_motion.corpora import TINY
 from tests.benchmarks.text_to_motion.test_training import trained
 from tests.cli.reports import plain, refused, reported
-from tests.fakes import smooth_motion
+from tests.fakes import fake_dataset, smooth_motion
 
 CONFIGURATION = EvaluatorConfiguration(**{key: TINY[key] for key in TINY})  # type: ignore[arg-type]
 
@@ -136,6 +144,99 @@ def test_retrieval_is_measured_where_asked_for_and_stands_in_the_file(request_fo
     result.write(tmp_path / "out.json")
     assert TextEvaluation.read(tmp_path / "out.json") == result
     assert evaluate_text(request_for()).rows[0].retrieval == ()
+
+
+@pytest.fixture
+def run_of(tmp_path):
+    """Make a run whose motions are the given ones: one each of the first sequences of a small table."""
+
+    def made(motions):
+        data = fake_dataset(tmp_path / "table")
+        about = {"limit": len(motions), "data": (data.folder,), "out": tmp_path / "run"}
+        asked = RunRequest(method="static", condition=Condition.NONE, **about)
+        folder = run_method(asked).folder
+        files = folder.dataset("synthetic-adt")
+        ids = sorted(Predictions.open(files.predictions).ids)
+        for part in files.predictions.glob("*.parquet"):
+            part.unlink()
+        lengths = [len(joints) for joints in motions]
+        rows = PredictionRows(np.concatenate(motions), np.cumsum([0, *lengths]))
+        write_part(files.part(0), ids, [[0] * len(ids)], [rows], protocol_version=1)
+        return folder.path, ids
+
+    return made
+
+
+def end_embedded(evaluator, joints):
+    """The oracle: the last frames, at most 60 and a multiple of 4, made canonical, encoded, embedded."""
+    kept = joints[len(joints) - min(len(joints), 60) // 4 * 4 :].astype(np.float64)
+    kept = transform_points(invert_rigid(canonical_frame(kept)), kept).astype(np.float32)
+    return evaluator.embed_motions([generated_features(kept, evaluator.configuration, name="x")])[0]
+
+
+def test_the_clips_nearest_to_the_ends_of_a_runs_motions_are_named_in_order(request_for, corpus, run_of):
+    clips = EvaluatedClips.read(corpus.folder, split="test", kinds=frozenset(), fps=20.0).clips
+    copied = clips[19].motion.joints  # of 43 frames: the first three are left out
+    reach = smooth_motion("reach", 57)
+    # The same end behind frames that the evaluator cannot take any more.
+    longer = np.concatenate([smooth_motion("something else", 31), smooth_motion("end", 60)])
+    run, ids = run_of([copied, reach, longer, longer[-60:]])
+    request = request_for(nearest=run, neighbours=44)
+    result = evaluate_text(request)
+    assert (result.rows, len(result.nearest)) == ((), 4 * 44)
+    near = [result.nearest[start : start + 44] for start in range(0, 4 * 44, 44)]
+    assert [each[0].sequence_id for each in near] == ids
+    assert all([one.rank for one in each] == list(range(1, 45)) for each in near)
+    assert near[0][0].clip == clips[19].sequence_id
+    assert near[0][0].texts == clips[19].texts
+    assert near[0][0].distance == pytest.approx(0.0, abs=1e-5)
+    assert near[0][1].distance > 1e-3
+    evaluator = load_evaluator(request.evaluator, [corpus])
+    recorded = np.stack([end_embedded(evaluator, clip.motion.joints) for clip in clips])
+    for each, joints in zip(near[1:], [reach, longer, longer]):
+        expected = np.linalg.norm(recorded - end_embedded(evaluator, joints), axis=1)
+        np.testing.assert_allclose([one.distance for one in each], np.sort(expected), atol=1e-5)
+        np.testing.assert_allclose(expected[[int(one.clip[-3:]) for one in each]], np.sort(expected), atol=1e-5)
+    assert [(one.clip, one.texts) for one in near[2]] == [(one.clip, one.texts) for one in near[3]]
+    assert "4 motions of static, 1 of them longer than the 60 frames" in result.notes[0]
+    few = evaluate_text(request_for(nearest=run, limit=2))
+    assert [one.sequence_id for one in few.nearest] == [ids[0]] * 3 + [ids[1]] * 3
+
+
+def test_runs_whose_motions_cannot_be_compared_are_refused(request_for, run_of, monkeypatch, tmp_path):
+    run, ids = run_of([smooth_motion("short", 3), smooth_motion("reach", 40)])
+    with pytest.raises(PredictionsError, match=f"{re.escape(ids[0])}: expected 4 frames or more, found 3"):
+        evaluate_text(request_for(nearest=run))
+    with pytest.raises(RunError, match="expected a run folder"):
+        evaluate_text(request_for(nearest=tmp_path / "table"))
+    other = msgspec.structs.replace(load_protocol(), fps=30.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(RunFolder, "protocol", other)
+        with pytest.raises(RunError, match=r"expected motions of 20 frames per second, .*, found 30"):
+            evaluate_text(request_for(nearest=run))
+    for part in (run / "synthetic-adt" / "predictions").iterdir():
+        part.unlink()
+    with pytest.raises(RunError, match="expected the predictions of a run, found none"):
+        evaluate_text(request_for(nearest=run))
+
+
+def test_the_command_prints_the_nearest_clips_in_place_of_metrics(build, saved, corpus, run_of, tmp_path, capsys):
+    run, _ = run_of([smooth_motion("reach", 40)])
+    path, out = saved(build()), tmp_path / "near.json"
+    command = ["evaluate-text", "--evaluator", str(path), "--corpus", str(corpus.folder), "--out", str(out)]
+    assert main([*command, "--nearest", str(run), "--neighbours", "2"]) == 0
+    printed = capsys.readouterr().out
+    near = TextEvaluation.read(out).nearest
+    assert [one.rank for one in near] == [1, 2]
+    assert all(text in printed for one in near for text in (one.sequence_id, one.clip, *one.texts))
+    assert "R-precision" not in printed
+    report = reported([*command, "--nearest", str(run), "--neighbours", "2"], capsys)
+    assert plain(report.nearest) == json.loads(out.read_text())["nearest"]
+    assert main(["study", "table-s8", str(out)]) == 3
+    assert "expected metrics, found none" in capsys.readouterr().err
+    for words, message in ((["--nearest", str(run), "--retrieval"], "leave --method"), (["--limit", "2"], "--nearest")):
+        assert main([*command, *words]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_repetitions_default_to_twenty_or_five():
