@@ -60,7 +60,7 @@ def draw_prediction(tables: Sequence[Table], path: Path) -> str:
                     axes.plot([place, place], [cell.low, cell.high], color=line.get_color(), linewidth=0.7)
         axes.set_title(title)
         axes.set_xlabel(x_title)
-        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))  # beside the lines, of which there are many
+        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
         if lines is values:
             axes.axhline(0.0, color="0.6", linewidth=0.9)
             axes.invert_xaxis()
