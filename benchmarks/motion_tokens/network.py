@@ -222,5 +222,5 @@ class Tokeniser(nn.Module):
 
 
 def perplexity(shares: Float[torch.Tensor, " codes"]) -> Float[torch.Tensor, ""]:
-    """How many codes are in use: exp(−Σ p log(p + 1e-7)) of their shares p."""
+    """Return how many codes are in use: exp(−Σ p log(p + 1e-7)) of their shares p, 1 to K."""
     return (-(shares * (shares + 1e-7).log()).sum()).exp()

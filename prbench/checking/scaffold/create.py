@@ -188,7 +188,7 @@ class ScaffoldRequest:
 
     @property
     def program(self) -> bool:
-        """Whether it becomes a program of its own."""
+        """Says whether it becomes a program of its own."""
         return self.source == PROGRAM
 
     @property
